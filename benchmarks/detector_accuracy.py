@@ -18,7 +18,7 @@ import numpy as np
 
 from skyherd.geometry import ComplexArray, to_complex
 from skyherd.markers.dictionary import cells_per_side
-from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.vision import DEFAULT_DETECTOR, Detector, create_detector
 
 DICTIONARIES = ("4X4_50", "5X5_100", "6X6_250")
@@ -66,8 +66,8 @@ def measure(
         pose = CameraPose(place, FOCAL_PX / side_px, yaw_rad, (tilt.real, tilt.imag))
         positions, headings = _spread(pose, side_px, rng), rng.uniform(-np.pi, np.pi, PER_FRAME)
         ids = np.sort(rng.permutation(50)[:PER_FRAME])
-        seen = detector.detect(renderer.render(camera, pose, ids, positions, headings))
-        truth = renderer.truth(camera, pose, ids, positions, headings)
+        seen = detector.detect(renderer.render(Shot(camera, pose, ids, positions, headings)))
+        truth = renderer.truth(Shot(camera, pose, ids, positions, headings))
         row = np.searchsorted(truth.ids, seen.ids).clip(max=truth.ids.size - 1)
         away_px = np.linalg.norm(truth.centers_px[row] - seen.centers_px, axis=1)
         right = (truth.ids[row] == seen.ids) & (away_px < side_px / 2)

@@ -33,14 +33,14 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from scale import swarm
 
 from skyherd.datasets import Mission, make_mission
 from skyherd.drawing.palette import INK, UNIT_COLORS
+from skyherd.geometry import Image
 from skyherd.loop import run_steps
 from skyherd.plots.style import drawing_style, new_figure
-from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.sim.perception import make_run_perception
 from skyherd.sim.side_by_side import SideBySide
 from skyherd.vision import create_detector
@@ -58,7 +58,6 @@ WARM_UP = 12
 PEERS = {"apriltag3": "pupil_apriltags", "locus-tag": "locus"}
 """Detectors of other libraries, and the module that each needs."""
 
-Image = npt.NDArray[np.uint8]
 Row = dict[str, Any]
 
 
@@ -88,7 +87,7 @@ class Scene:
         swing = np.sin(0.1 * frame)
         positions_m = self.positions_m + pose.position_m + self.drift_m * 10 * swing
         return self.renderer.render(
-            self.camera, pose, self.ids, positions_m, self.headings_rad + self.turns_rad * frame
+            Shot(self.camera, pose, self.ids, positions_m, self.headings_rad + self.turns_rad * frame)
         )
 
 

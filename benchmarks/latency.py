@@ -56,7 +56,7 @@ def run(number: int) -> dict[str, Any]:
     built_in, step_s, start = SCENARIOS[scenario]
     tree = tomllib.loads(scenario_text(built_in))
     tree |= {"perception": "ideal", "duration_s": DURATION_S, "step_s": step_s}
-    tree["control"] |= {"rectify": False, "k": gain, "k_omega": 4 * gain, "compensate": compensate}
+    tree["control"] |= {"rectify": False, "k": gain, "k_omega": 4 * gain, "latency_compensation": compensate}
     tree["robots"] |= {"max_speed_mps": 1000, "max_turn_radps": 1000, "timeout_s": latency_s + 0.5}
     if start is not None:
         del tree["robots"]["positions_m"], tree["robots"]["headings_deg"]

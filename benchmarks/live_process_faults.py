@@ -394,16 +394,22 @@ def _start(folder: Path, seed: int, *, full: bool) -> Team:
             session,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
-            preexec_fn=_limit_files if full else None,
+            preexec_fn=lambda: _prepare(full=full),
         ),
         relay,
         radio,
     )
 
 
-def _limit_files() -> None:
-    """Let writing fail beyond a size, as on a disk that is full."""
-    resource.setrlimit(resource.RLIMIT_FSIZE, (DISK_BYTES, DISK_BYTES))
+def _prepare(*, full: bool) -> None:
+    """Let Ctrl-C reach the process also if this script runs in the background, where shells ignore it.
+
+    Args:
+        full: let writing fail beyond a size, as on a disk that is full.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    if full:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (DISK_BYTES, DISK_BYTES))
 
 
 def _free_port() -> int:

@@ -1,8 +1,8 @@
 """How many small changes of the code no fast test notices, where the safety of others depends on the code.
 
-The tree protocol, roles, avoidance, the fusion of goals and the reader of recordings are changed in one place
-at a time (a comparison, an operator, a number, a condition), and their tests run on each change. A change
-that they let pass shows what is not tested, or makes no difference.
+The tree protocol, roles, avoidance, the fusion of goals, the reader of recordings, output folders and the
+live team are changed in one place at a time (a comparison, an operator, a number, a condition), and their
+tests run on each change. A change that they let pass shows what is not tested, or makes no difference.
 
     pip install -e '.[test,mutation]'
     python benchmarks/mutation.py --share 0.1            # a tenth of all, drawn from a fixed seed
@@ -57,6 +57,15 @@ PARTS = {
         "tests/recording/test_damages.py tests/recording/test_handmade.py"
         " tests/recording/test_recorders.py tests/recording/test_writer_and_reader.py",
     ),
+    "output_folder": Part(("files/output_folder.py",), "tests/files/test_output_folder.py"),
+    "driver": Part(("live/drivers/driver.py",), "tests/live/drivers/test_driver.py"),
+    "robot_core": Part(("live/robot_core.py",), "tests/live/test_robot_core.py"),
+    "session": Part(("live/session.py",), "tests/live/test_operator.py tests/live/test_session.py"),
+    "operator": Part(("live/operator.py",), "tests/live/test_operator.py"),
+    "stop_latch": Part(
+        ("live/stop_latch.py",), "tests/live/test_stop_latch.py tests/live/test_stop_model.py"
+    ),
+    "peers": Part(("live/peers.py",), "tests/live/test_peers.py"),
 }
 """The parts, by name."""
 

@@ -16,13 +16,24 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from skyherd.render import Camera, CameraPose, Clutter, Distortion, Ground, Motion, Renderer, Sensor, Shutter
+from skyherd.render import (
+    Camera,
+    CameraPose,
+    Clutter,
+    Distortion,
+    Ground,
+    Motion,
+    Renderer,
+    Sensor,
+    Shot,
+    Shutter,
+)
 
 DICTIONARY, MARKERS, SIDE_PX = "4X4_50", 16, 30.0
 HEIGHT_M = 10.0
 INSTANT = Shutter()
 LENS = Distortion(k1=-0.2, k2=0.05, p1=0.001)
-Frame = Callable[[int], object]
+DrawFrame = Callable[[int], object]
 
 
 def scene(size_px: tuple[int, int], frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -42,7 +53,7 @@ def pose_at(frame: int, *, moves: bool = True, tilt_deg: float = 0.0) -> CameraP
     return CameraPose((step, -0.7 * step), HEIGHT_M + 0.1 * step, 0.05 * step, (np.radians(tilt_deg), 0.0))
 
 
-def make_frames(size_px: tuple[int, int], frames: int) -> dict[str, Frame]:
+def make_frames(size_px: tuple[int, int], frames: int) -> dict[str, DrawFrame]:
     """What is timed, by name: each draws the frame of a number."""
     positions, headings = scene(size_px, frames)
     ids = np.arange(MARKERS)
@@ -50,15 +61,17 @@ def make_frames(size_px: tuple[int, int], frames: int) -> dict[str, Frame]:
     lens = Camera(size_px, focal_px=HEIGHT_M * SIDE_PX, distortion=LENS)
     motion = Motion(camera_mps=(1.0, 0.5, 0.0))
 
-    def draws(camera: Camera, renderer: Renderer, **pose: float) -> Frame:
+    def draws(camera: Camera, renderer: Renderer, **pose: float) -> DrawFrame:
         still = bool(pose.pop("still", False))
         return lambda n: renderer.render(
-            camera,
-            pose_at(n, moves=not still, **pose),
-            ids,
-            positions[n],
-            headings[n],
-            motion=motion,
+            Shot(
+                camera,
+                pose_at(n, moves=not still, **pose),
+                ids,
+                positions[n],
+                headings[n],
+                motion=motion,
+            )
         )
 
     def renderer(shutter: Shutter = INSTANT, clutter: Clutter | None = None, **sensor: float) -> Renderer:

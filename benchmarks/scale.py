@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from skyherd.control import AerialController, KeepInView, Template, TreeProtocol, TreeRule, fit_similarity
+from skyherd.control import AerialController, KeepInView, Template, TreeProtocol, TreeSettings, fit_similarity
 from skyherd.datasets import make_mission
 from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.loop import Step, run_steps
@@ -104,7 +104,7 @@ def measure_step(images: int = 400, robots: int = 50) -> dict[str, float]:
     views = np.arange(robots), np.arange(robots - 6, len(points))
     agents = [
         AerialController(
-            template, TreeProtocol(TreeRule(radius=5)), KeepInView(template, desired_radius=0.75)
+            template, TreeProtocol(TreeSettings(radius=5)), KeepInView(template, desired_radius=0.75)
         )
         for _ in views
     ]

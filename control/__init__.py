@@ -1,8 +1,10 @@
-"""Detections to motion goals to robot commands. Nothing here sees the truth or a camera's calibration.
+"""Control: from detections to motion goals to robot commands.
 
-Start with `AerialController` (one unit: an image's detections in, goals, a report and a flight command out)
-and `GoalFollowers` (the robots: messages in, wheel speeds out). `skyherd.control.policy` has the interfaces
-of what can be exchanged.
+Nothing in this package sees ground truth or camera calibration.
+
+`AerialController` is the controller of one unit. From the detections of an image it computes motion goals, a
+report and a flight command. `GoalFollowers` are the robots: they turn received messages into wheel speeds.
+`skyherd.control.policy` defines the interfaces of the exchangeable parts.
 """
 
 from skyherd.control.aerial_controller import AerialController, Decision
@@ -32,8 +34,8 @@ from skyherd.control.policy import (
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier, rectified
 from skyherd.control.robot_team import GoalFollowers, RobotClocks
-from skyherd.control.robots.dead_reckoning import DeadReckoning
 from skyherd.control.robots.goal_fusion import GoalInboxes
+from skyherd.control.robots.latency_compensation import LatencyCompensation
 from skyherd.control.robots.unicycle import (
     MarkerGains,
     PixelGains,
@@ -54,7 +56,7 @@ from skyherd.control.topology.conditions import (
     owners_by_robot,
 )
 from skyherd.control.topology.convergence_rate import laplacian, slowest_rate
-from skyherd.control.tree.node_state import TreeRule
+from skyherd.control.tree.node_state import TreeSettings
 from skyherd.control.tree.protocol import TreeProtocol
 
 __all__ = [
@@ -64,7 +66,6 @@ __all__ = [
     "BodyRule",
     "Conditions",
     "ControlSets",
-    "DeadReckoning",
     "Decision",
     "Delivery",
     "Detour",
@@ -77,6 +78,7 @@ __all__ = [
     "Hover",
     "HybridSelection",
     "KeepInView",
+    "LatencyCompensation",
     "MarkerGains",
     "NeighborMemory",
     "Perimeter",
@@ -96,7 +98,7 @@ __all__ = [
     "TeamOrders",
     "Template",
     "TreeProtocol",
-    "TreeRule",
+    "TreeSettings",
     "Wheels",
     "ascend",
     "check_conditions",

@@ -1,14 +1,14 @@
-"""One aerial unit's controller: detections and reports in; goals, a report and a flight command out.
+"""Controller of one aerial unit: detections and reports in; goals, a report and a flight command out.
 
-Units and robots may fall silent, and markers may be missed, so that everything a decision rests on has an age
-at which it stops counting:
+Units and robots may fail, and markers may be missed. Every input of a decision therefore becomes stale at a
+defined age:
 
-- A report that is older than `report_lifetime_s`, which is several images, is left out of the decision. The
-  tree protocol remembers reports by itself, and has a limit of its own for them (`TreeRule.silence_s`).
-- A robot that is not detected gets no goal in that image. Where control sets follow from a safety radius, it
-  counts for a dwell time as where it was last seen (`skyherd.control.selection.safety_radius`).
-- A robot follows a goal until the scenario's `robots.timeout_s` has passed since it received it
-  (`skyherd.control.robots.goal_fusion`). Without any goal left it holds still.
+- A report older than `report_lifetime_s`, several image periods, is ignored. The tree protocol stores reports
+  itself, with its own timeout (`TreeSettings.silence_s`).
+- A robot that is not detected gets no goal in that image. With a safety radius, its last position counts for
+  one dwell time (`skyherd.control.selection.safety_radius`).
+- A robot follows a goal for `robots.timeout_s` after reception (`skyherd.control.robots.goal_fusion`). This
+  timeout is a watchdog: without a fresh goal the robot stops.
 """
 
 from collections.abc import Sequence
@@ -23,26 +23,28 @@ from skyherd.control.formation.roles import RoleRule, Roles
 from skyherd.control.formation.schedule import Schedule
 from skyherd.control.formation.size import SideConsensus, SizeRule
 from skyherd.control.formation.template import Template
-from skyherd.control.goals import cost_share, motion_goals
+from skyherd.control.goals import lyapunov_term, motion_goals
 from skyherd.control.policy import FlightLaw, FlightTask, Selection, SelectionPolicy
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier
 from skyherd.control.team_clock import TeamClock
 from skyherd.errors import DegenerateSetError
 from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, shared_ids
+from skyherd.messages.checks import check_kind
 
 
 @dataclass(frozen=True)
 class Decision:
-    """What a unit decides after one image.
+    """Decision of a unit after one image.
 
     Attributes:
-        detections: what it decided on: all markers of the image, rectified if the unit rectifies.
-        goals: for its robots; None if it sees too few of them for a shape, or if they may not move yet.
-        report: for the other units.
-        flight: for its own autopilot.
-        proximity: gaps between bodies, for its robots; None where robots are points.
-        ground_map: the map through which the detections were taken; ideal (the identity) without a rectifier.
+        detections: detections of the decision: all markers of the image, rectified if the unit rectifies.
+        goals: goals for its robots; None if too few robots are visible for a shape, or if robots may not move
+            yet.
+        report: report to the other units.
+        flight: command to its own autopilot.
+        proximity: gaps between bodies, for its robots; None if robots are points.
+        ground_map: rectification map of the detections; the identity without a rectifier.
     """
 
     detections: Detections
@@ -54,25 +56,26 @@ class Decision:
 
 
 class AerialController:
-    """Steers the robots of one unit from its detections and the other units' reports.
+    """Controller that steers the robots of one unit from its detections and the other units' reports.
 
-    What it keeps from image to image is in its parts, of which it has its own instances (rectifier, selection
-    policy, flight law, roles, agreed marker side), but for its own last report, which the policy reads.
+    State between images is kept in the parts: rectifier, selection policy, flight law, roles and agreed
+    marker side. Each unit has its own instances. The controller itself keeps only its last report, which the
+    policy reads.
 
     Args:
-        schedule: the whole shape, by robot, or several shapes one after the other.
-        selection: which robots it controls; an instance of this unit's own.
-        flight: how it flies; an instance of this unit's own.
-        rectifier: learns from the markers what the camera does to the ground, and takes it off the
-            detections; None takes detections as they are, which is right for square pixels, no lens
-            distortion and no tilt only.
-        nearest: neighbours whose distances it sends to each robot, besides the robots shared with other
-            units.
-        report_lifetime_s: a report older than this counts no more, since its sender may be gone.
-        roles: how robots exchange their places in the shape; None for places that are fixed.
-        size: bounds on the shape's size; None for a size that is free, as in the paper.
-        bodies: how large robots and obstacles are; None for points.
-        clock: how it learns the team's time from the stamps that it hears; None where its own clock shows it.
+        schedule: the whole shape, by robot, or a sequence of shapes.
+        selection: policy that selects the controlled robots; one instance per unit.
+        flight: flight law; one instance per unit.
+        rectifier: estimates the map from the image to the ground from the markers, and applies it to the
+            detections. None uses raw detections, which is correct only for square pixels without lens
+            distortion and tilt.
+        nearest: number of nearest neighbours whose distances are sent to each robot, besides robots shared
+            with other units.
+        report_lifetime_s: age at which a report is stale, since its sender may have failed.
+        roles: settings of the role exchange; None for fixed roles.
+        size: bounds on the size of the shape; None for a free size, as in the paper.
+        bodies: sizes of robots and obstacles; None for points.
+        clock: estimates the team's time from received time stamps; None if the unit's own clock shows it.
     """
 
     def __init__(
@@ -89,6 +92,7 @@ class AerialController:
         bodies: BodyRule | None = None,
         clock: TeamClock | None = None,
     ) -> None:
+        check_kind("AerialController: schedule", schedule, (Template, Schedule), "a Template or a Schedule")
         self.schedule = Schedule(schedule) if isinstance(schedule, Template) else schedule
         self.template, self.selection, self.flight = self.schedule.first, selection, flight
         self.rectifier, self.nearest, self.report_lifetime_s = rectifier, nearest, report_lifetime_s
@@ -102,10 +106,9 @@ class AerialController:
         """Decide on one image.
 
         Args:
-            detections: all markers found in it, of robots, obstacles and others, at the time that the unit's
-                own clock shows. An id that occurs twice counts as not seen: nobody can tell which of the two
-                is the robot.
-            reports: the last report received from each other unit, however old.
+            detections: all markers of the image, with the time of the unit's own clock. Markers with a
+                repeated id are ignored as ambiguous.
+            reports: the last report received from each other unit, of any age.
         """
         detections = self._in_team_time(detections.unambiguous(), reports)
         if self.rectifier is not None:
@@ -125,7 +128,7 @@ class AerialController:
             controlled_ids=selection.controlled_ids,
             secure_ids=selection.secure_ids,
             tree=selection.tree_status,
-            cost_sides2=cost_share(goals),
+            cost_sides2=lyapunov_term(goals),
             side_px=side_px,
             roles=self.roles.reported,
         )
@@ -140,7 +143,7 @@ class AerialController:
         )
 
     def _in_team_time(self, detections: Detections, reports: Sequence[UnitReport]) -> Detections:
-        """The detections with the team's time in place of the unit's own."""
+        """Return the detections with the team's time instead of the unit's own time."""
         if self.clock is None:
             return detections
         own_s = np.array([detections.time_s])
@@ -149,14 +152,14 @@ class AerialController:
         return replace(detections, time_s=float(self.clock.time_s(own_s)[0]))
 
     def _choose_roles(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
-        """Take up the shape of this time and the newest roles; exchange roles in the unit's own slot."""
+        """Update the shape and the roles, and exchange roles in the unit's own slot."""
         self.roles.use_template(self.schedule.at(seen.time_s))
         self.roles.receive(reports)
         if self.roles.may_exchange(seen.unit_id, seen.time_s, reports):
             self.roles.exchange(seen.unit_id, register_views(self.template.ids, seen, reports))
 
     def _fly(self, seen: Detections, selection: Selection, reports: Sequence[UnitReport]) -> FlightCommand:
-        """Keep the control set in view; while robots may not move yet, hold the place or widen the view."""
+        """Keep the control set in view; before robots may move, hold the position or widen the view."""
         if selection.may_move:
             task = FlightTask(selection.controlled_ids, selection.sought_ids)
         elif selection.searches:
@@ -168,7 +171,7 @@ class AerialController:
     def _near_bodies(
         self, detections: Detections, reports: Sequence[UnitReport], ground_map: GroundMap
     ) -> Proximity | None:
-        """What robots have to keep away from, the border of the image included while a robot is hidden."""
+        """Return the bodies that robots must avoid, with the image border while a robot is hidden."""
         if self.bodies is None:
             return None
         hidden = self.hidden_robots.beyond(detections, reports, ground_map)

@@ -1,4 +1,4 @@
-"""What a unit sends to its robots: motion goals in each robot's own frame, and image distances (eq. 2-3)."""
+"""Motion goals of a unit for its robots, in each robot's own frame, and image distances (eq. 2-3)."""
 
 import numpy as np
 
@@ -6,6 +6,7 @@ from skyherd.control.formation.similarity import fit_goals
 from skyherd.control.formation.template import Template
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex, wrap_angle
 from skyherd.messages import Detections, MotionGoals, among
+from skyherd.messages.checks import check_kind
 
 
 def motion_goals(
@@ -17,11 +18,11 @@ def motion_goals(
     nearest: int,
     scales: tuple[float, float] = (0.0, np.inf),
 ) -> MotionGoals:
-    """Goals of one unit for the robots it controls and sees.
+    """Compute the goals of one unit for the robots it controls and sees.
 
-    `rho_i^j = p_i^{d,j} - p_i^j` (eq. 2); its direction in the robot's frame is the angle from the
-    heading y to rho. Image angles run clockwise seen from above, the robot's counter-clockwise: the sense
-    flips here, once, as `bearing = -(arg rho - heading)`. The paper's angle (eq. 3) is `pi - bearing`,
+    The goal vector is `rho_i^j = p_i^{d,j} - p_i^j` (eq. 2). Its direction in the robot's frame is the angle
+    from the heading y to rho. Image angles run clockwise seen from above, the robot's counter-clockwise. The
+    sense flips once, here, as `bearing = -(arg rho - heading)`. The paper's angle (eq. 3) is `pi - bearing`,
     with its z axis up, that is, for image coordinates (u, -v).
 
     Args:
@@ -29,12 +30,14 @@ def motion_goals(
         controlled_ids: S_j^c; its members that are not in `seen` get no goal.
         template: the whole shape.
         shared_ids: robots that other units control as well; their distances are always sent.
-        nearest: distances are also sent to this many nearest robots in the image.
-        scales: bounds of the similarity's scale, image pixels a template pixel (control/formation/size.py).
+        nearest: number of nearest robots in the image whose distances are sent as well.
+        scales: bounds of the similarity's scale, image pixels per template pixel (control/formation/size.py).
 
     Raises:
-        DegenerateSetError: fewer than two controlled robots are seen, or all at one place.
+        DegenerateSetError: fewer than two controlled robots are visible, or all coincide.
     """
+    check_kind("motion_goals: seen", seen, Detections, "Detections")
+    check_kind("motion_goals: template", template, Template, "a Template")
     rows = np.flatnonzero(among(seen.ids, controlled_ids))
     ids, seen_px = seen.ids[rows], to_complex(seen.centers_px)
     points, current = template.points_of(ids), seen_px[rows]
@@ -47,6 +50,7 @@ def motion_goals(
         time_s=seen.time_s,
         ids=ids,
         rho_px=np.abs(rho),
+        # Image angles run clockwise seen from above, bearings counter-clockwise: the only flip of sense.
         bearings_rad=wrap_angle(seen.headings_rad[rows] - np.angle(rho)),
         sides_px=seen.sides_px[rows],
         neighbor_ids=neighbor_ids,
@@ -54,19 +58,20 @@ def motion_goals(
     )
 
 
-def cost_share(goals: MotionGoals | None) -> float:
-    """A unit's share of the cost function (paper, eq. 9), in marker sides squared; 0 without goals.
+def lyapunov_term(goals: MotionGoals | None) -> float:
+    """Return the term V^j of one unit in the Lyapunov function V (paper, eq. 9), in marker sides squared.
 
-    `V_j = 1/2 Σ_i (rho_i / side_i)²` over the robots i that it sends goals to, each in sides of its own
-    marker.
+    `V^j = 1/2 Σ_i (rho_i / side_i)²` over the robots i with a goal, each in sides of its own marker. It is 0
+    without goals. The sum V = Σ_j V^j is the Lyapunov function of Theorem 1: it never increases under a fixed
+    topology.
     """
     return 0.0 if goals is None else float(((goals.rho_px / goals.sides_px) ** 2).sum() / 2)
 
 
 def _as_rows(is_sent: BoolArray, ids: IntArray, distances: Array) -> tuple[IntArray, Array]:
-    """Ids (N, K), filled with -1, and distances (N, K), filled with 0, of the neighbours that are sent.
+    """Return padded rows of the neighbours to send: ids (N, K), filled with -1, and distances, filled with 0.
 
-    `is_sent` (N, M) names them for each robot, among the M robots `ids` at `distances` (N, M).
+    `is_sent` (N, M) selects them for each robot, among the M robots `ids` at `distances` (N, M).
     """
     counts = is_sent.sum(axis=1)
     width = int(counts.max(initial=0))
@@ -79,7 +84,7 @@ def _as_rows(is_sent: BoolArray, ids: IntArray, distances: Array) -> tuple[IntAr
 
 
 def _nearest_mask(distances: Array, nearest: int) -> BoolArray:
-    """(N, M) true for the `nearest + 1` least of each row: a robot itself, and its neighbours."""
+    """Return a mask (N, M) of the `nearest + 1` smallest of each row: the robot itself and its neighbours."""
     count = min(nearest + 1, distances.shape[1])
     order = np.argpartition(distances, count - 1, axis=1)[:, :count]
     mask = np.zeros(distances.shape, dtype=bool)

@@ -1,8 +1,8 @@
-"""What can be exchanged in a unit's controller and in the robots: the interfaces and the values they pass.
+"""Interfaces of the exchangeable parts of a unit's controller and of the robots, and their data types.
 
-`AerialController` (control/aerial_controller.py) calls its `SelectionPolicy` once an image, and its
-`FlightLaw` unless the unit holds its place; the loop calls one `RobotTeam` a step. Each docstring below
-states all that an implementation has to keep to; `docs/extending.md` shows one of each in full.
+`AerialController` (control/aerial_controller.py) calls its `SelectionPolicy` once per image. It calls its
+`FlightLaw` unless the unit holds its position. The loop calls one `RobotTeam` per step. Each docstring below
+is the complete contract of an implementation; `docs/extending.md` has an example of each.
 """
 
 from collections.abc import Sequence
@@ -29,17 +29,18 @@ NO_ROBOTS: IntArray = np.zeros(0, dtype=np.int64)
 
 @dataclass(frozen=True)
 class Selection:
-    """Which robots a unit controls after an image, and what else its policy decided.
+    """Control set of a unit after an image, and further decisions of its policy.
 
     Attributes:
         controlled_ids: (M,) the control set S_j^c (paper, Section II), ascending.
-        secure_ids: (L,) robots of the set that the unit holds safely now; other units may leave these to it.
-        may_move: whether the unit sends goals; without goals its robots stand still.
-        sought_ids: robots outside the set that the unit should also get into view; used while `may_move`.
-        searches: whether the unit should widen its view and keep all robots that it sees, because units or
-            robots have not been found yet; used only while `may_move` is False, else the unit holds its
-            place.
-        tree_status: what the unit's report says of the tree of units; None where there is no tree.
+        secure_ids: (L,) robots of the set that the unit holds reliably now; other units may release these to
+            it.
+        may_move: whether the unit sends goals; without goals its robots stop.
+        sought_ids: robots outside the set that should also come into view; used while `may_move`.
+        searches: whether the unit should widen its view and keep all visible robots, because units or robots
+            are still missing. It is used only while `may_move` is False; otherwise the unit holds its
+            position.
+        tree_status: part of the unit's report about the tree; None without a tree.
     """
 
     controlled_ids: IntArray
@@ -51,39 +52,39 @@ class Selection:
 
 
 class SelectionPolicy(Protocol):
-    """Decides which robots one unit controls. Each unit has an instance of its own, which may keep state."""
+    """Interface of a policy that selects the robots of one unit; one instance per unit, may keep state."""
 
     def choose(
         self, seen: Detections, reports: Sequence[UnitReport], shape: Template, last: UnitReport | None
     ) -> Selection:
-        """The unit's selection after one image.
+        """Return the selection of the unit after one image.
 
-        It is called once an image, in the order of time, and must not draw random numbers or read a clock:
-        `seen.time_s` is the time. It must keep working whatever messages are lost, late or repeated.
+        The controller calls it once per image, in the order of time. It must not draw random numbers or read
+        a clock; the time is `seen.time_s`. It must tolerate message loss, delay, reordering and repetition.
 
         Args:
             seen: all robots of the team in the image, rectified if the unit rectifies; may be empty.
-            reports: the last report that arrived from each other unit, none of them older than the
-                controller's `report_lifetime_s`; a report may be several images old.
-            shape: the template as the robots' roles are now; its `ids` are the team. The same object comes
-                again while nothing changes.
-            last: what this unit itself reported after its last image; None at the first one.
+            reports: the last report of each other unit, never older than the controller's
+                `report_lifetime_s`; a report may be several images old.
+            shape: the template under the present roles; its `ids` are the team. The object is the same while
+                nothing changes.
+            last: the unit's own report after its last image; None at the first one.
 
         Returns:
-            The selection. `controlled_ids` may name robots that are not in the image (they get no goal now)
-            and must be members of the team; `secure_ids` must be a subset of it.
+            The selection. `controlled_ids` must be members of the team and may include robots outside the
+            image, which get no goal now. `secure_ids` must be a subset of `controlled_ids`.
         """
         ...
 
 
 @dataclass(frozen=True)
 class FlightTask:
-    """What a unit is to have in view.
+    """Robots that a unit must keep in view.
 
     Attributes:
         controlled_ids: the control set, which must stay in view.
-        sought_ids: robots to be seen as well, as far as the control set stays in view.
-        widen: whether to see more of the ground all the while, for units or robots that nobody has found.
+        sought_ids: robots to bring into view as well, as far as the control set stays in view.
+        widen: whether to widen the view continuously, to find missing units or robots.
     """
 
     controlled_ids: IntArray
@@ -92,36 +93,37 @@ class FlightTask:
 
 
 class FlightLaw(Protocol):
-    """How one aerial unit flies, from image quantities alone. Each unit has an instance of its own.
+    """Interface of the flight law of one aerial unit, from image quantities alone; one instance per unit.
 
-    Lengths are in halves of the image's shorter side, from the image centre (`skyherd.messages.centred`), so
-    that gains do not depend on the camera. Limits of height and speed are the autopilot's, in the world.
+    Lengths are in halves of the image's shorter side, from the image centre (`skyherd.messages.centred`).
+    Gains therefore do not depend on the camera. The autopilot, part of the world, limits height and speed.
     """
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
-        """Velocity to fly until the next image.
+        """Return the velocity until the next image.
 
-        It is not called while the unit holds its place: a law that counts time goes by `seen.time_s`.
+        It is not called while the unit holds its position. A law that measures time must use `seen.time_s`.
 
         Args:
-            seen: robots of the team in the image; may be empty, and the law must answer then as well.
-            task: robots to be kept in view. A law that cannot widen its view may leave `widen` aside.
+            seen: robots of the team in the image; may be empty, and the law must return a command then as
+                well.
+            task: robots to keep in view. A law without a wider view may ignore `widen`.
             reports: the last recent report of each other unit.
 
         Returns:
-            A command for `seen.unit_id`: lateral velocity along the image's +u and +v, climb, turn and change
-            of zoom, all finite.
+            A command for `seen.unit_id`: lateral velocity along the image's +u and +v, climb, turn rate and
+            zoom rate, all finite.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """A message of a unit to its robots, at the instant at which it arrives.
+    """Message of a unit to its robots, at its time of arrival.
 
     Attributes:
         message: goals, or gaps between bodies.
-        received: (N,) which of the robots named in `message.ids` received it; the others lost it.
+        received: (N,) mask of the robots in `message.ids` that received it; message loss affects the others.
     """
 
     message: MotionGoals | Proximity
@@ -130,11 +132,11 @@ class Delivery:
 
 @dataclass(frozen=True)
 class TeamOrders:
-    """What the robots do until the next step.
+    """Commands of the robots until the next step.
 
     Attributes:
         command: speeds and turn rates of all robots.
-        commanded_ids: robots that follow a goal now; the others hold still for want of one.
+        commanded_ids: robots that follow a goal now; the others are stopped by their watchdog.
     """
 
     command: VelocityCommand
@@ -142,21 +144,21 @@ class TeamOrders:
 
 
 class RobotTeam(Protocol):
-    """All robots' own computers at once: from the messages that arrive to speeds of the wheels.
+    """Interface of the on-board computers of all robots: received messages to wheel speeds.
 
-    A team that stands for real robots knows what it received and nothing else, and computes each robot from
-    that robot's messages alone. Laws from the literature that are given the truth keep to the same interface
-    (`skyherd.sim.oracle_team`), so that they drive the same wheels in the same loop.
+    A team that models real robots knows only its received messages, and computes each robot from that robot's
+    messages alone. Laws from the literature that use ground truth share the interface
+    (`skyherd.sim.oracle_team`). They therefore drive the same wheels in the same loop.
     """
 
     def decide(self, time_s: float, delivered: Sequence[Delivery]) -> TeamOrders:
-        """What all robots do from now on, given the messages that arrived since the last step.
+        """Return the commands of all robots, given the messages that arrived since the last step.
 
         Args:
-            time_s: now; called once a step, in the order of time.
-            delivered: in the order of arrival; a message may be older than one that came before it.
+            time_s: present time; called once per step, in the order of time.
+            delivered: messages in the order of arrival; a message may be older than an earlier one.
 
         Returns:
-            Commands for all robots of the team, in the order of their ids, within what the wheels can do.
+            Commands for all robots of the team, in the order of their ids, within the limits of the wheels.
         """
         ...

@@ -1,4 +1,4 @@
-"""The robots' own computers, all at once: each follows the goals that it received, and nothing else."""
+"""The on-board computers of all robots: each follows the goals that it received, and nothing else."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,8 +8,8 @@ import numpy as np
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.avoidance.speed_bound import AvoidanceRule, avoiding_law
 from skyherd.control.policy import Delivery, RobotTeam, TeamOrders
-from skyherd.control.robots.dead_reckoning import DeadReckoning
 from skyherd.control.robots.goal_fusion import GoalInboxes
+from skyherd.control.robots.latency_compensation import LatencyCompensation
 from skyherd.control.robots.unicycle import RobotLaw, Wheels, robot_commands
 from skyherd.control.team_clock import TeamClock
 from skyherd.geometry import Array, IntArray
@@ -18,39 +18,39 @@ from skyherd.messages import MotionGoals, VelocityCommand, among
 
 @dataclass
 class RobotClocks:
-    """The robots' own clocks, and what each has learned of the team's time from what it received.
+    """The robots' own clocks, and their estimate of the team's time from received messages.
 
     Attributes:
-        read: what the robots' clocks (N,) show when the team's computer shows a time.
-        team: how they learn.
+        read: function from the team computer's time to the readings (N,) of the robots' clocks.
+        team: estimator of the team's time.
     """
 
     read: Callable[[float], Array]
     team: TeamClock
 
     def hear(self, delivery: Delivery, ids: IntArray, time_s: float) -> None:
-        """Take in the stamp of a message that arrives now at some of the robots `ids` (N,)."""
+        """Update the clocks of the robots among `ids` (N,) that receive a message at `time_s`."""
         heard = among(ids, delivery.message.ids[delivery.received])
         self.team.hear(delivery.message.time_s, self.read(time_s), np.flatnonzero(heard))
 
     def lead_s(self, time_s: float) -> Array:
-        """The team's time, as each robot (N,) knows it now, less `time_s`."""
+        """Return the team's time, as each robot (N,) estimates it now, minus `time_s`."""
         return self.team.time_s(self.read(time_s)) - time_s
 
 
 @dataclass
 class GoalFollowers(RobotTeam):
-    """Robots that fuse the goals of all units that control them (eq. 4) and drive there (eq. 7-8).
+    """Robots that fuse the goals of all units that control them (eq. 4) and follow them (eq. 7-8).
 
     Attributes:
-        inboxes: goals received, by unit and robot.
-        gains: of the robots' law.
-        wheels: what the robots' wheels can do.
-        neighbors: bodies near each robot, as units reported them; None where robots are points.
-        avoidance: how robots keep apart from these; None where they do not.
-        motion: what each robot has driven since, which it takes off goals of images in the past; None where
-            goals are followed as they come.
-        clocks: how robots tell the age of messages though their clocks differ; None where all clocks agree.
+        inboxes: received goals, by unit and robot; their lifetime is the watchdog timeout of the robots.
+        gains: gains of the robots' law.
+        wheels: limits of the robots' wheels.
+        neighbors: bodies near each robot, as reported by units; None if robots are points.
+        avoidance: settings of collision avoidance; None without avoidance.
+        latency_compensation: subtracts each robot's own motion since the image from its goals; None without
+            latency compensation.
+        clocks: estimate message ages although clocks differ; None if all clocks agree.
     """
 
     inboxes: GoalInboxes
@@ -58,11 +58,11 @@ class GoalFollowers(RobotTeam):
     wheels: Wheels
     neighbors: NeighborMemory | None = None
     avoidance: AvoidanceRule | None = None
-    motion: DeadReckoning | None = None
+    latency_compensation: LatencyCompensation | None = None
     clocks: RobotClocks | None = None
 
     def decide(self, time_s: float, delivered: Sequence[Delivery]) -> TeamOrders:
-        """Take in the messages; then steer by all goals that are not too old."""
+        """Receive the messages, then steer by all goals that are not stale."""
         for delivery in delivered:
             if self.clocks is not None:
                 self.clocks.hear(delivery, self.inboxes.ids, time_s)
@@ -74,11 +74,11 @@ class GoalFollowers(RobotTeam):
                 self.neighbors.receive(delivery.message, delivery.received, lead_s)
         commanded = self.inboxes.ids[self.inboxes.fresh(time_s).any(axis=0)]
         inboxes = self.inboxes
-        if self.motion is not None:
-            inboxes = self.motion.up_to_date(inboxes, time_s, lead_s)
+        if self.latency_compensation is not None:
+            inboxes = self.latency_compensation.compensate(inboxes, time_s, lead_s)
         command = self._command(inboxes, time_s, lead_s)
-        if self.motion is not None:
-            self.motion.record(command, time_s)
+        if self.latency_compensation is not None:
+            self.latency_compensation.record(command, time_s)
         return TeamOrders(command, np.asarray(commanded))
 
     def _command(self, inboxes: GoalInboxes, time_s: float, lead_s: Array) -> VelocityCommand:

@@ -14,10 +14,20 @@ for: they need matplotlib and process pools, which a run does without.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from skyherd.datasets.configuration.body_models import SizeModel
+from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
 from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
-from skyherd.datasets.configuration.fields import Model, Point
+from skyherd.datasets.configuration.fields import DictionaryName, Model, Name, Point
+from skyherd.datasets.configuration.file_kinds import (
+    LAB,
+    STUDY,
+    FileKind,
+    TomlSource,
+    read_source,
+    refuse_configuration,
+    refuse_other_kind,
+    source_text,
+)
 from skyherd.datasets.configuration.mission import (
     Mission,
     ScenarioSource,
@@ -35,17 +45,25 @@ from skyherd.datasets.configuration.models import (
     Scenario,
     SelectionModel,
 )
-from skyherd.datasets.configuration.robot_models import DriveModel, RobotsModel, ScatterModel
+from skyherd.datasets.configuration.obstacles import check_obstacle_ids
+from skyherd.datasets.configuration.robot_models import (
+    DriveModel,
+    ObstacleMarkerModel,
+    RobotsModel,
+    ScatterModel,
+    WheelsModel,
+)
 from skyherd.datasets.configuration.toml_files import (
+    apply_settings,
     built_in_names,
     built_in_text,
-    first_error,
     get_value,
     parse_toml,
     put_value,
     read_toml_text,
 )
 from skyherd.datasets.configuration.unit_models import FlightModel, UnitModel
+from skyherd.datasets.configuration.validation import check_tree, locate
 from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.read import Dataset, LabelledImage, read_dataset
 from skyherd.datasets.labelled.spec import DatasetSpec, SpecFile, load_spec, spec_names, spec_text
@@ -89,42 +107,55 @@ else:
 __all__ = [
     "BODY_SIDES",
     "CAMERAS",
+    "LAB",
     "METHODS",
     "OWN_METHOD",
     "SHAPES",
     "SHAPE_SPACING",
+    "STUDY",
     "AutopilotModel",
+    "AvoidanceModel",
     "CameraModel",
     "Crowd",
     "Dataset",
     "DatasetSpec",
+    "DictionaryName",
     "DriveModel",
+    "FileKind",
     "FlightModel",
     "LabelledImage",
     "Mission",
     "Model",
+    "Name",
     "NetworkModel",
+    "ObstacleMarkerModel",
     "Point",
     "RobotsModel",
+    "RolesModel",
     "ScatterModel",
     "Scenario",
     "ScenarioSource",
     "SelectionModel",
     "SizeModel",
     "SpecFile",
+    "TomlSource",
     "UnitModel",
     "Verdict",
+    "WheelsModel",
+    "apply_settings",
     "built_in_names",
     "built_in_text",
     "check_dataset",
+    "check_obstacle_ids",
+    "check_tree",
     "crowded_mission",
     "draw_integer",
     "draw_number",
     "draw_preview",
-    "first_error",
     "get_value",
     "load_mission",
     "load_spec",
+    "locate",
     "make_dataset",
     "make_mission",
     "parse_toml",
@@ -133,10 +164,14 @@ __all__ = [
     "random_mission",
     "read_dataset",
     "read_scenario",
+    "read_source",
     "read_toml_text",
+    "refuse_configuration",
+    "refuse_other_kind",
     "scenario_names",
     "scenario_text",
     "shape_points",
+    "source_text",
     "spec_names",
     "spec_text",
     "star_mission",

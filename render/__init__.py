@@ -1,8 +1,8 @@
 """World to pixels: images of a team of marked robots from above, and the exact truth about them.
 
-`Renderer` draws a grey image: textured ground with clutter, marker cards and occluders, seen through lens and
-shutter, made noisy by the sensor, and processed by the camera. `project_markers` and `Renderer.truth` say
-where each marker is in the same image. Nothing here depends on detectors or controllers.
+`Renderer` draws the grey image of a `Shot`: textured ground with clutter, marker cards and occluders, seen
+through lens and shutter, made noisy by the sensor, and processed by the camera. `project_markers` and
+`Renderer.truth` say where each marker is in the same image. Nothing here depends on detectors or controllers.
 
 Rendering is exact, not supersampled. Each pixel sums, in closed form, the steps of grey at the few lines of a
 card's grid that reach it, by their distances in the image (`skyherd.render.raster.kernels.lattices`). How far
@@ -31,6 +31,7 @@ from skyherd.render.renderer import Renderer
 from skyherd.render.scene.clutter import Clutter
 from skyherd.render.scene.occluders import Disc, Quad
 from skyherd.render.sensor import Illumination, Sensor
+from skyherd.render.shot import Shot
 from skyherd.render.team_projection import TeamImage, project_team
 from skyherd.render.truth import FrameTruth, project_markers
 
@@ -51,6 +52,7 @@ __all__ = [
     "Quad",
     "Renderer",
     "Sensor",
+    "Shot",
     "Shutter",
     "TeamImage",
     "footprint_m",

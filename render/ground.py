@@ -13,12 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import InputError
-from skyherd.geometry import Array, apply_homography, inverse
+from skyherd.geometry import Array, Image, apply_homography, inverse
 from skyherd.render.scene.clutter import Clutter
 from skyherd.render.scene.textures import PERIOD, SLABS, concrete, picture, tiles
 from skyherd.render.view import ShapeImages
-
-Image = npt.NDArray[np.uint8]
 
 GroundKind = Literal["plain", "concrete", "tiles", "image"]
 KINDS: tuple[GroundKind, ...] = ("plain", "concrete", "tiles", "image")

@@ -4,27 +4,23 @@ Drawn in this order, each over what was before it: ground, clutter, markers, occ
 mean of sharp images over the exposure, defocus and coma that over the rays through the lens.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from itertools import product
 
 import numpy as np
-import numpy.typing as npt
 
-from skyherd.geometry import Array, IntArray, apply_homography, inverse
+from skyherd.geometry import Array, Image, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
-from skyherd.render.camera.camera import Camera, CameraPose
 from skyherd.render.camera.lens_blur import SHARP, LensBlur, Ray
-from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
+from skyherd.render.camera.motion import INSTANT, Shutter
 from skyherd.render.ground import Ground
 from skyherd.render.paint import Canvas, framed, paint_discs, paint_lattices
 from skyherd.render.raster.edge import Float, edge_spread
-from skyherd.render.scene.occluders import Disc, Occluder, Quad, quads_square
+from skyherd.render.scene.occluders import Disc, Quad, quads_square
 from skyherd.render.sensor import Sensor
+from skyherd.render.shot import Shot
 from skyherd.render.truth import FrameTruth, moving_markers, project_markers
 from skyherd.render.view import View
-
-Image = npt.NDArray[np.uint8]
-"""Grey levels (height, width)."""
 
 Light = Float
 """What falls on the sensor, in grey levels, (height, width)."""
@@ -37,7 +33,7 @@ deviations of blur, some 100 px; longer ones show steps."""
 class Renderer:
     """Draws a team of marked robots as a camera would see it, and tells where each marker is.
 
-    The same renderer serves many cameras; pose, robots, motion and occluders are given for each image.
+    The same renderer serves many cameras.
 
     Args:
         dictionary: marker dictionary, such as `4X4_50`.
@@ -71,51 +67,18 @@ class Renderer:
         self._team: tuple[int, ...] = ()
         self._cards = framed(np.zeros((0, 1, 1)))
 
-    def render(
-        self,
-        camera: Camera,
-        pose: CameraPose,
-        ids: IntArray,
-        positions_m: Array,
-        headings_rad: Array,
-        *,
-        motion: Motion = STILL,
-        occluders: Sequence[Occluder] = (),
-        stream: int = 0,
-    ) -> Image:
+    def render(self, shot: Shot) -> Image:
         """Draw the image that a camera takes.
-
-        Args:
-            camera: intrinsics and lens.
-            pose: where the camera is in the middle of the exposure of the middle row.
-            ids: (N,) markers of the dictionary.
-            positions_m: (N, 2) places of the markers' centres on the ground.
-            headings_rad: (N,) their forward directions, counter-clockwise from +x.
-            motion: velocities of camera and robots; they matter only with an exposure or a row time.
-            occluders: what lies over markers, each over those before it.
-            stream: number of the camera's video stream, which matters only to a codec that remembers.
 
         Returns:
             Grey levels (height, width), with the sensor's noise, which differs from call to call.
         """
-        team = (ids, positions_m, headings_rad)
         if self.sensor.linear and self.lens_blur.none and not self.shutter.exposure_s:
-            view = View(camera, pose, motion, self.shutter)
-            return self.sensor.expose(self._draw(self._ground(view), view, *team, occluders), stream)
-        light = self.light(camera, pose, *team, motion=motion, occluders=occluders)
-        return self.sensor.expose(light, stream)
+            view = self._view(shot)
+            return self.sensor.expose(self._draw(self._ground(view), view, shot), shot.stream)
+        return self.sensor.expose(self.light(shot), shot.stream)
 
-    def light(
-        self,
-        camera: Camera,
-        pose: CameraPose,
-        ids: IntArray,
-        positions_m: Array,
-        headings_rad: Array,
-        *,
-        motion: Motion = STILL,
-        occluders: Sequence[Occluder] = (),
-    ) -> Light:
+    def light(self, shot: Shot) -> Light:
         """Draw what falls on the sensor: `render` without the sensor, in grey levels (height, width).
 
         Nothing is rounded but the ground's texture.
@@ -124,62 +87,52 @@ class Renderer:
         two standard deviations of blur that anything moves, and two more; defocus and coma are the mean over
         the rays through the lens (`skyherd.render.camera.lens_blur`).
         """
-        team = (ids, positions_m, headings_rad)
+        ground, size_px = self.ground, shot.camera.size_px[::-1]
         total: Light | None = None
-        instants = self._instants(camera, pose, positions_m, headings_rad, motion)
-        for (at_s, share), (ray, of_share) in product(instants, self._rays(camera, pose)):
-            view, weight = View(camera, pose, motion, self.shutter, at_s, ray), share * of_share
-            if self.ground.kind == "plain":
-                canvas = np.full(camera.size_px[::-1], self.ground.mean, dtype=np.float32)
+        for (at_s, share), (ray, of_share) in product(self._instants(shot), self._rays(shot)):
+            view, weight = self._view(shot, at_s, ray), share * of_share
+            if ground.kind == "plain":
+                canvas = np.full(size_px, ground.mean, dtype=np.float32)
             else:
                 canvas = self._ground(view).astype(np.float32)
-            self._draw(canvas, view, *team, occluders)
+            self._draw(canvas, view, shot)
             canvas *= np.float32(weight)
             total = canvas if total is None else np.add(total, canvas, out=total)
-        return np.zeros(camera.size_px[::-1], dtype=np.float32) if total is None else total
+        return np.zeros(size_px, dtype=np.float32) if total is None else total
 
-    def truth(
-        self,
-        camera: Camera,
-        pose: CameraPose,
-        ids: IntArray,
-        positions_m: Array,
-        headings_rad: Array,
-        *,
-        motion: Motion = STILL,
-        occluders: Sequence[Occluder] = (),
-    ) -> FrameTruth:
-        """Exact truth about the image that `render` draws with the same arguments."""
+    def truth(self, shot: Shot) -> FrameTruth:
+        """Return the exact truth about the image that `render` draws of the same shot."""
         return project_markers(
-            camera,
-            pose,
-            positions_m,
-            headings_rad,
+            shot.camera,
+            shot.pose,
+            shot.positions_m,
+            shot.headings_rad,
             side_m=self.side_m,
             card_side_m=self.side_m * card_side(self.dictionary),
-            ids=ids,
-            motion=motion,
+            ids=shot.ids,
+            motion=shot.motion,
             shutter=self.shutter,
-            occluders=occluders,
+            occluders=shot.occluders,
         )
 
-    def _instants(
-        self, camera: Camera, pose: CameraPose, positions_m: Array, headings_rad: Array, motion: Motion
-    ) -> list[tuple[float, float]]:
+    def _view(self, shot: Shot, at_s: float = 0.0, ray: Ray | None = None) -> View:
+        return View(shot.camera, shot.pose, shot.motion, self.shutter, at_s, ray)
+
+    def _instants(self, shot: Shot) -> list[tuple[float, float]]:
         """Instants within the exposure, s, and their weights, which sum to one: nodes of Gauss and Legendre.
 
         How many follows from the longest way, px, that a marker or a corner of the ground in view moves.
         """
-        half_s = self.shutter.exposure_s / 2
+        half_s, motion = self.shutter.exposure_s / 2, shot.motion
         if not half_s or motion.still:
             return [(0.0, 1.0)]
         marks = []
         for at_s in (-half_s, half_s):
-            view = View(camera, pose, motion, self.shutter, at_s)
-            markers = view.images(moving_markers(positions_m, headings_rad, self.side_m, motion))
+            view = self._view(shot, at_s)
+            markers = view.images(self._markers(shot))
             homography = view.ground().matrices[0, 0]
             if at_s < 0:
-                corners_m = apply_homography(inverse(homography), camera.corners_px)
+                corners_m = apply_homography(inverse(homography), shot.camera.corners_px)
             forward = markers.project(np.array([[0.0, 0.0], [1.0, 0.0]])).reshape(-1, 2)
             marks.append(np.concatenate([forward, apply_homography(homography, corners_m)]))
         length_px = float(np.linalg.norm(marks[1] - marks[0], axis=1).max())
@@ -187,11 +140,12 @@ class Renderer:
         nodes, weights = np.polynomial.legendre.leggauss(count)
         return [(float(x * half_s), float(w / 2)) for x, w in zip(nodes, weights, strict=True)]
 
-    def _rays(self, camera: Camera, pose: CameraPose) -> list[tuple[Ray | None, float]]:
+    def _rays(self, shot: Shot) -> list[tuple[Ray | None, float]]:
         """Rays through the lens and their weights, which sum to one: the middle one if the lens is sharp."""
-        if self.lens_blur.none:
+        blur = self.lens_blur
+        if blur.none:
             return [(None, 1.0)]
-        return [(ray, ray.weight) for ray in self.lens_blur.rays(camera, pose, self._spread.sigma_px)]
+        return [(ray, ray.weight) for ray in blur.rays(shot.camera, shot.pose, self._spread.sigma_px)]
 
     def _ground(self, view: View) -> Image:
         ground = view.ground()
@@ -199,26 +153,23 @@ class Renderer:
             return self.ground.draw_bent(ground)
         return self.ground.draw(ground.matrices[0, 0], view.camera.size_px)
 
-    def _draw(
-        self,
-        canvas: Canvas,
-        view: View,
-        ids: IntArray,
-        positions_m: Array,
-        headings_rad: Array,
-        occluders: Sequence[Occluder],
-    ) -> Canvas:
+    def _markers(self, shot: Shot) -> Callable[[float], Array]:
+        """Return the maps from markers to the ground, by the time of a row."""
+        return moving_markers(shot.positions_m, shot.headings_rad, self.side_m, shot.motion)
+
+    def _draw(self, canvas: Canvas, view: View, shot: Shot) -> Canvas:
         """Clutter, markers and occluders over the ground, in this order."""
-        if self.ground.clutter is not None:
+        clutter = self.ground.clutter
+        if clutter is not None:
             low, high = view.ground_box()
-            corners_m, levels = self.ground.clutter.within(low, high)
+            corners_m, levels = clutter.within(low, high)
             self._quads(canvas, view, corners_m, levels)
-        if len(ids):
-            markers = moving_markers(positions_m, headings_rad, self.side_m, view.motion)
+        if len(shot.ids):
+            markers = self._markers(shot)
             marker_lattice = _marker_lattice(cells_per_side(self.dictionary))
             images = view.images(lambda time_s: markers(time_s) @ marker_lattice)
-            paint_lattices(canvas, images, self._levels(ids), self._spread)
-        for occluder in occluders:
+            paint_lattices(canvas, images, self._levels(shot.ids), self._spread)
+        for occluder in shot.occluders:
             if isinstance(occluder, Quad):
                 self._quads(canvas, view, np.array([occluder.corners_m]), np.array([occluder.level]))
             else:

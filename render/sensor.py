@@ -22,14 +22,12 @@ import numpy.typing as npt
 from scipy.special import ndtr
 
 from skyherd.errors import InputError
-from skyherd.geometry import Array
+from skyherd.geometry import Array, Image
 from skyherd.render.processing.development import UNPROCESSED, Processing
 
 if TYPE_CHECKING:
     from skyherd.render.processing.video_stream import VideoStream
 
-Image = npt.NDArray[np.uint8]
-"""Grey levels (height, width)."""
 
 Light = npt.NDArray[np.float32]
 """Light in grey levels, or a factor on it, (height, width)."""

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import ROBOT_FRAME_CORNERS, Array, BoolArray, IntArray, to_points
+from skyherd.messages.checks import check_kind
 from skyherd.render.camera.camera import Camera, CameraPose
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
 from skyherd.render.scene.occluders import Occluder
@@ -110,6 +111,10 @@ def project_markers(
     Returns:
         The truth about all N markers, those outside the image as well.
     """
+    check_kind("project_markers: camera", camera, Camera, "a Camera")
+    check_kind("project_markers: pose", pose, CameraPose, "a CameraPose")
+    check_kind("project_markers: motion", motion, Motion, "a Motion")
+    check_kind("project_markers: shutter", shutter, Shutter, "a Shutter")
     view = View(camera, pose, motion, shutter)
     markers = moving_markers(positions_m, headings_rad, side_m, motion)
     images = view.images(markers)

@@ -79,8 +79,10 @@ def pytest_report_header(config: pytest.Config) -> str | None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Every property test is also a random test."""
+    """Mark every property test as a random test; a slow case of a smoke test is not a smoke test."""
     for item in items:
+        if item.get_closest_marker("slow"):
+            item.own_markers[:] = [mark for mark in item.own_markers if mark.name != "smoke"]
         if hypothesis.is_hypothesis_test(getattr(item, "obj", None)):
             item.add_marker("random")
 

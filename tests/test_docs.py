@@ -1,5 +1,6 @@
 """The documentation beside the code: paths, commands, options and scenarios that it shows are there."""
 
+import ast
 import importlib.util
 import re
 import shlex
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 import typer
 
+import skyherd
 from skyherd.cli import app
 from skyherd.datasets import Scenario, load_mission
 
@@ -131,8 +133,79 @@ def test_the_rooms_of_the_architecture_are_the_layers_of_the_contract() -> None:
     assert [told[number] for number in sorted(told)] == [layer for layer in meant if layer != {"__main__"}]
 
 
-def test_the_site_fetches_nothing_from_elsewhere() -> None:
+def test_site_fetches_only_pinned_mathjax_from_elsewhere() -> None:
     text = (ROOT / "mkdocs.yml").read_text()
     assert "font: false" in text
-    assert "http" not in re.sub(r"#.*", "", text)
-    assert "http" not in (DOCS / "site.css").read_text()
+    addresses = re.findall(r"http\S*", re.sub(r"#.*", "", text))
+    assert len(addresses) == 1 and re.search(r"/mathjax@\d+\.\d+\.\d+/es5/tex-chtml\.js$", addresses[0])
+    assert "http" not in (DOCS / "site.css").read_text() + (DOCS / "formulas.js").read_text()
+
+
+class TestFormulas:
+    def test_tex_moves_into_attribute_and_mathml_is_shown(self) -> None:
+        html = '<p>A <span class="arithmatex">\\(a &lt; \\bar{q}_i\\)</span> b</p>'
+        made = script("formulas").with_mathml(html)
+        assert 'data-tex="\\(a &lt; \\bar{q}_i\\)"' in made and "<math" in made
+        assert "\\" not in re.sub(r"<[^>]*>", "", made)
+
+    def test_formula_that_mathml_cannot_show_is_refused(self) -> None:
+        tex = r"\begin{aligned} a &amp;= b \end{aligned}"
+        with pytest.raises(ValueError, match="no MathML"):
+            script("formulas").with_mathml(f'<div class="arithmatex">\\[{tex}\\]</div>')
+
+    def test_page_without_formulas_is_unchanged(self) -> None:
+        html = "<p>costs 3 $ and <code>\\(x\\)</code></p>"
+        assert script("formulas").with_mathml(html) == html
+
+
+def test_public_api_page_has_each_name_of_the_package_once() -> None:
+    reference = script("api_reference")
+    listed = [name for names in reference.PUBLIC.values() for name in names]
+    assert sorted(listed) == sorted(set(skyherd.__all__) - {"__version__"})
+    shown = re.findall(r"^::: skyherd\.[\w.]*\b(\w+)$", reference.public_page(), re.M)
+    assert shown == listed
+
+
+def test_search_ranks_guides_above_references_and_internals() -> None:
+    text = (DOCS / "scripts/site_hooks.py").read_text().replace("INTERNALS: ", '"Internals": ')
+    boosts = ast.literal_eval(re.search(r"^SEARCH_BOOSTS = ({.*?})$", text, re.M | re.S)[1])
+    tabs = re.findall(r"^  - ([\w ]+):", (ROOT / "mkdocs.yml").read_text().split("\nnav:\n")[1], re.M)
+    assert set(boosts) <= {*tabs, "Internals"}
+    assert min(boosts["How to"], boosts["Guides"], boosts["Live"]) > boosts["Reference"] > boosts["Internals"]
+
+
+class TestReadme:
+    TEXT = (ROOT / "README.md").read_text()
+
+    def test_is_short(self) -> None:
+        assert len(self.TEXT.splitlines()) <= 150
+        assert len(self.TEXT.split()) <= 900
+
+    def test_marks_the_blocks_that_the_gate_runs(self) -> None:
+        for mark in ("run", "test"):
+            assert re.search(rf"^<!-- {mark} -->\n```sh\npython3 -m venv .*\n```$", self.TEXT, re.M)
+
+    def test_example_runs_and_prints_errors_and_detections(self, capsys) -> None:
+        (example,) = re.findall(r"```python\n(.*?)```", self.TEXT, re.S)
+        assert len(example.splitlines()) <= 12
+        exec(example, {})
+        lines = capsys.readouterr().out.splitlines()
+        errors = [float(line.split()[-1]) for line in lines if "shape error" in line]
+        assert len(errors) == 21 and errors[-1] < errors[0]
+        assert len([line for line in lines if "sigma" in line]) >= 10
+
+    def test_software_citation_names_the_version(self) -> None:
+        assert f"version = {{{skyherd.__version__}}}" in self.TEXT
+
+
+def test_gallery_is_small_and_the_home_page_shows_every_film() -> None:
+    home, folder = (DOCS / "index.md").read_text(), DOCS / "gallery"
+    films = re.findall(r'^    "(\w+)": Film\(', (DOCS / "scripts/gallery.py").read_text(), re.M)
+    assert len(films) >= 4
+    assert {path.name for path in folder.iterdir()} == {
+        f"{film}.{kind}" for film in films for kind in ("mp4", "jpg")
+    }
+    for film in films:
+        assert f'src="gallery/{film}.mp4" poster="gallery/{film}.jpg"' in home
+        assert f"`skyherd run {film}`" in home
+    assert sum(path.stat().st_size for path in folder.iterdir()) < 6e6

@@ -9,6 +9,7 @@ EXACT = 1e-12
 """Chosen: a few hundred roundings of numbers of order one."""
 
 
+@pytest.mark.smoke
 def test_corners_go_round_from_the_front_left_and_forward_is_ahead_in_both_frames() -> None:
     """Front is -i of the marker and +1 of the robot; left is -1 of the marker and +i of the robot."""
     assert SQUARE_CORNERS[:2].imag.tolist() == [-0.5, -0.5]
@@ -25,7 +26,7 @@ def test_the_fit_is_that_of_general_least_squares(seed: int) -> None:
     design = np.stack([np.ones(4), SQUARE_CORNERS, SQUARE_CORNERS.conj()], axis=1)
     expected = np.linalg.lstsq(design, corners.T, rcond=None)[0]
     fitted = fit_squares(corners)
-    for got, want in zip((fitted.centers, fitted.arms, fitted.squeezes), expected, strict=True):
+    for got, want in zip((fitted.centers, fitted.similarities, fitted.anisotropies), expected, strict=True):
         np.testing.assert_allclose(got, want, atol=EXACT, rtol=0)
 
 
@@ -36,7 +37,7 @@ def test_a_turned_square_has_its_heading_and_no_squeeze(heading_rad: float) -> N
     corners = 300 + 200j + arm * SQUARE_CORNERS
     fitted = fit_squares(corners[None])
     assert fitted.headings_rad()[0] == pytest.approx(heading_rad, abs=EXACT)
-    assert abs(fitted.squeezes[0]) < 20 * EXACT
+    assert abs(fitted.anisotropies[0]) < 20 * EXACT
     front = to_points(corners[:2].mean() - fitted.centers[0])
     assert front == pytest.approx([10 * np.cos(heading_rad), 10 * np.sin(heading_rad)], abs=1e-9)
 

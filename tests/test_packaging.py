@@ -1,7 +1,9 @@
 """The package list is the tree, the wheel holds nothing at its top but skyherd, and truth does not leak."""
 
 import ast
+import importlib.util
 import os
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -26,10 +28,62 @@ def folders_with_code():
 PARTS = ("vision", "control", "render", "datasets")
 
 
-def test_every_package_of_the_tree_is_listed_where_it_lies():
-    tree = dict(folders_with_code())
-    assert sorted(tree) == sorted(SETUP["packages"])
-    assert tree == SETUP["package-dir"]
+def discovered(root):
+    """The packages that `setup.py` of a source tree finds."""
+    spec = importlib.util.spec_from_file_location("setup_of_tree", root / "setup.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.packages()
+
+
+@pytest.mark.smoke
+def test_setup_finds_every_package_of_the_tree():
+    assert discovered(ROOT) == sorted(dict(folders_with_code()))
+    places = {f"skyherd.{part}": part for part in PARTS} | {"skyherd": "src/skyherd"}
+    assert SETUP["package-dir"] == places
+
+
+@pytest.fixture
+def small_tree(tmp_path):
+    """A source tree with seven packages, and the two scripts of the project."""
+    tops = ("src/skyherd", *PARTS)
+    for folder in (*tops, "src/skyherd/sim", "vision/search"):
+        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+        (tmp_path / folder / "__init__.py").touch()
+    (tmp_path / ".ci").mkdir()
+    for file in ("pyproject.toml", "setup.py", ".ci/link_packages.py"):
+        shutil.copy(ROOT / file, tmp_path / file)
+    return tmp_path
+
+
+def link_packages(root, *options):
+    command = [sys.executable, root / ".ci" / "link_packages.py", *options]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_setup_leaves_linked_folders_out(small_tree):
+    before = discovered(small_tree)
+    assert "skyherd.vision.search" in before and len(before) == 7
+    assert link_packages(small_tree).returncode == 0
+    assert (small_tree / "src/skyherd/vision/search/__init__.py").exists()
+    assert discovered(small_tree) == before
+    (small_tree / "src/skyherd/sim/new").mkdir()
+    (small_tree / "src/skyherd/sim/new/__init__.py").touch()
+    assert discovered(small_tree) == sorted([*before, "skyherd.sim.new"])
+
+
+def test_links_are_made_twice_and_removed_alone(small_tree):
+    for _ in range(2):
+        assert link_packages(small_tree).returncode == 0
+    assert link_packages(small_tree, "--remove").returncode == 0
+    assert sorted(path.name for path in (small_tree / "src/skyherd").iterdir()) == ["__init__.py", "sim"]
+    assert (small_tree / "vision/search/__init__.py").exists()
+
+
+def test_link_over_another_folder_is_refused(small_tree):
+    (small_tree / "src/skyherd/render").mkdir()
+    ended = link_packages(small_tree)
+    assert ended.returncode == 1 and "remove it" in ended.stderr and len(ended.stderr.splitlines()) == 1
 
 
 def test_the_version_has_one_source():
@@ -75,6 +129,7 @@ def imported_modules(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+@pytest.mark.smoke
 def test_control_imports_neither_pixels_nor_world():
     """Independent of the import contracts, which the gate checks with a planted leak as well."""
     allowed = ("skyherd.control", "skyherd.errors", "skyherd.geometry", "skyherd.messages")

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skyherd.errors import MAX_CHARACTERS, InputError
-from skyherd.text import printable, shorten, table_cell
+from skyherd.text import one_of, printable, shorten, table_cell
 
 
 @pytest.mark.parametrize(
@@ -72,3 +72,17 @@ def test_the_longest_part_is_shortened_and_the_others_are_left():
 def test_an_error_of_a_value_whose_text_has_lines_is_of_one_line():
     error = InputError("border bits", "array([[0.],\n       [0.]])", "a whole number")
     assert "\n" not in str(error) and str(error).startswith("border bits: array([[0.], ")
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("strat", "did you mean 'star'? one of star, Line"),
+        ("LINE", "did you mean 'Line'? one of star, Line"),
+        ("qqq", "one of star, Line"),
+        ("", "one of star, Line"),
+        ("s" * 100_000, "one of star, Line"),
+    ],
+)
+def test_known_names_follow_the_nearest_one(name, said):
+    assert one_of(name, ["star", "Line"]) == said

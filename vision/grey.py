@@ -2,13 +2,11 @@
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from skyherd.errors import InputError
+from skyherd.geometry import Image
 
-Image = npt.NDArray[np.uint8]
-"""A grey image: array (height, width) of 8-bit grey levels, row 0 at the top. The point (u, v) = (0, 0) is
-the centre of the first pixel; u runs to the right and v down."""
+__all__ = ["Image", "block_means", "check_grey"]
 
 
 def check_grey(image: Image) -> Image:

@@ -1,1 +1,1 @@
-"""Collision avoidance of robots with bodies: reports of nearby bodies, bounds on approach speeds, detours."""
+"""Collision avoidance: reports of nearby bodies, bounds on approach speeds, detours."""

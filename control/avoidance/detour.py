@@ -1,7 +1,7 @@
-"""Detours: the velocity of a robot whose preferred velocity is blocked by bodies nearby.
+"""Detours: velocities of robots whose preferred velocity is blocked by nearby bodies.
 
-A detour only has to be useful. Safety is the bound on the approach speed, which is applied afterwards
-(`skyherd.control.avoidance.speed_bound`), so that a detour rule may choose anything.
+A detour rule affects progress only. The bound on the approach speed is applied afterwards and ensures safety
+(`skyherd.control.avoidance.speed_bound`). A rule may therefore return any velocity.
 """
 
 from collections.abc import Mapping
@@ -12,40 +12,41 @@ import numpy as np
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, wrap_angle
 
 DIRECTIONS = 36
-"""Directions that `around` compares, evenly spread: one in 10 degrees. Chosen: the cost is in proportion."""
+"""Number of directions that `around` compares, evenly spread: one per 10 degrees. Chosen: cost is
+proportional."""
 
 SIDEWAYS = 0.2
-"""Score of moving in itself, beside the cosine that scores progress. Chosen: above 0, a robot that faces an
-obstacle still gains by sliding past it at 90 degrees; the larger, the longer the detours it accepts."""
+"""Score of motion itself, added to the cosine that scores progress. Chosen: above 0, so that a robot can
+slide past an obstacle at 90 degrees; larger values accept longer detours."""
 
 RIGHT_HAND = 0.05
-"""Penalty, as a share of the score, of directions to the left. Chosen: it breaks the tie between passing left
-and passing right, so that two robots that meet head-on both keep to the right."""
+"""Relative penalty of directions to the left. Chosen: it breaks the tie between left and right, so that two
+robots that meet head-on both keep right."""
 
 HEAD_ON_RAD = 0.05
-"""Angle up to which `gyroscopic` takes an encounter as head-on and passes to the right, rad (3 degrees)."""
+"""Angle up to which `gyroscopic` treats an encounter as head-on and passes right, rad. Chosen: 3 degrees."""
 
 MIN_COSINE = 1e-9
-"""A direction whose cosine to a body is below this does not approach it. Chosen: above the rounding of a
-cosine (1e-16); an approach at 1e-9 of a robot's speed is harmless, and bounded afterwards in any case."""
+"""A direction with a smaller cosine to a body does not approach it. Chosen: above the rounding error of a
+cosine (1e-16); the remaining approach is negligible and is bounded afterwards."""
 
 
 class DetourRule(Protocol):
-    """A rule that finds other velocities for robots whose preferred velocities are blocked."""
+    """Interface of a rule that finds other velocities for robots whose preferred velocities are blocked."""
 
     def __call__(
         self, preferred: ComplexArray, *, rows: IntArray, bearings_rad: Array, speeds_mps: Array
     ) -> tuple[IntArray, ComplexArray]:
-        """Rows (R,) of the robots that are blocked, ascending, and the velocities (R,) to take instead.
+        """Return the rows (R,) of the blocked robots, ascending, and their alternative velocities (R,).
 
-        A robot is blocked if its preferred velocity approaches some body faster than the bound allows.
-        Robots that are not blocked must not be among the rows: they keep the paper's law to the bit.
+        A robot is blocked if its preferred velocity approaches some body faster than the bound allows. Other
+        robots must not be among the rows: they follow the paper's law exactly.
 
         Args:
             preferred: (N,) preferred velocities in the robots' frames, `forward + i left`, m/s.
-            rows: (P,) row of the robot that each bound is for.
+            rows: (P,) row of the robot of each bound.
             bearings_rad: (P,) direction to the other body in the robot's frame, positive to the left.
-            speeds_mps: (P,) greatest speed of approach.
+            speeds_mps: (P,) maximum approach speed.
         """
         ...
 
@@ -53,10 +54,10 @@ class DetourRule(Protocol):
 def around(
     preferred: ComplexArray, *, rows: IntArray, bearings_rad: Array, speeds_mps: Array
 ) -> tuple[IntArray, ComplexArray]:
-    """The best of 36 directions, as a `DetourRule`.
+    """Return the best of 36 directions for each blocked robot, as a `DetourRule`.
 
-    For a direction at an angle θ to the preferred one let s(θ) be the greatest speed that all bounds allow,
-    at most the preferred speed. The robot takes the direction with the largest score
+    For a direction at an angle θ to the preferred one let s(θ) be the maximum speed that all bounds allow, at
+    most the preferred speed. The robot takes the direction with the largest score
 
         s(θ) (cos θ + SIDEWAYS), times 1 - RIGHT_HAND to the left,
 
@@ -82,11 +83,11 @@ def around(
 def gyroscopic(
     preferred: ComplexArray, *, rows: IntArray, bearings_rad: Array, speeds_mps: Array
 ) -> tuple[IntArray, ComplexArray]:
-    """A force that turns a robot and does not brake it, as a `DetourRule`; to compare with `around`.
+    """Return velocities turned by a gyroscopic force, as a `DetourRule`; for comparison with `around`.
 
-    Gyroscopic forces (Chang, Shadden, Marsden and Olfati-Saber, CDC 2003) turn a robot away from what is
-    nearest, at its speed, until it passes: here at once to the tangent of the body whose bound is exceeded
-    most, on the side that the preferred direction is nearer to, and to the right if head-on.
+    Gyroscopic forces (Chang, Shadden, Marsden and Olfati-Saber, CDC 2003) turn a robot away from the nearest
+    body without braking. Here the robot turns at once to the tangent of the body whose bound is exceeded
+    most. It takes the side nearer to the preferred direction, or the right side if head-on.
     """
     excess = _approach_speeds(preferred, rows, bearings_rad) - speeds_mps
     blocked = np.unique(rows[excess > 0])
@@ -100,26 +101,26 @@ def gyroscopic(
 def out_of_margin(
     preferred: ComplexArray, *, rows: IntArray, bearings_rad: Array, spreads_rad: Array
 ) -> tuple[IntArray, ComplexArray]:
-    """Rows (R,), ascending, and velocities (R,) of robots that have a body within their margin.
+    """Return the rows (R,), ascending, and escape velocities (R,) of robots with a body within their margin.
 
-    Such a robot may only drive away from it: in directions that stay at a right angle to the body or more,
-    whatever its bearing and the robot's heading may turn by until a command takes effect. It takes the one of
-    `DIRECTIONS` that is nearest to the preferred one, at the preferred speed. Left out are robots whose
-    preferred direction is such a one, and those that have none.
+    Such a robot may only drive away: at a right angle to the body or more. This must hold for any bearing
+    error and any turn before a command takes effect. The robot takes the nearest of `DIRECTIONS` to the
+    preferred one, at the preferred speed. Robots are left out if their preferred direction already leads
+    away, or if no direction does.
 
     Args:
         preferred: (N,) preferred velocities in the robots' frames, `forward + i left`, m/s; those of the
             `rows` are not zero.
         rows: (P,) row of the robot of each pair whose bodies are within the margin.
         bearings_rad: (P,) direction to the other body in the robot's frame, positive to the left.
-        spreads_rad: (P,) angle by which that direction may be another one.
+        spreads_rad: (P,) maximum error of that direction.
     """
     concerned, pair_of = np.unique(rows, return_inverse=True)
     theta = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
     along = np.angle(preferred[concerned])
 
     def leads_away(angles_rad: Array) -> BoolArray:
-        """Whether directions (R, M) lead away from all bodies of their robots."""
+        """Return a mask (R, M) of the directions that lead away from all bodies of their robots."""
         off = np.abs(wrap_angle(angles_rad[pair_of] - bearings_rad[:, None]))
         away = np.ones(angles_rad.shape, dtype=bool)
         np.logical_and.at(away, pair_of, off >= np.pi / 2 + spreads_rad[:, None])
@@ -134,7 +135,7 @@ def out_of_margin(
 
 
 def _approach_speeds(velocities: ComplexArray, rows: IntArray, bearings_rad: Array) -> Array:
-    """Speeds (P,), m/s, at which robots at velocities (N,) approach the other body of each pair."""
+    """Return the approach speeds (P,), m/s, of robots at velocities (N,) to the other body of each pair."""
     return np.asarray((np.conj(np.exp(1j * bearings_rad)) * velocities[rows]).real)
 
 

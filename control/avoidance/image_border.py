@@ -1,12 +1,14 @@
-"""What lies beyond the border of a unit's image, while robots are missing that no unit sees.
+"""Image border as an obstacle while some robots are visible to no unit.
 
-Units tell robots of the bodies that they see, and a robot that no unit sees is in no message. Where one unit
-is left of several, such robots stand beyond the border of its image, for want of goals, and a robot that it
-sees may drive over one of them. So while some robot has not been seen by any unit for `UNSEEN_S`, a unit
-reports the four sides of its image as bodies that stand still (`BORDER_IDS`): no robot that it alone sees
-comes nearer to a side than a body behind it allows. The sides are half-planes in the rectified image, and the
-bound on approach speeds (`skyherd.control.avoidance.speed_bound`) holds for the nearest point of a half-plane
-as for the centre of a body.
+Units report to robots the bodies that they see. A robot that no unit sees is in no message. If only one of
+several units survives, such robots stand beyond the border of its image, since they get no goals. A visible
+robot could then drive over one of them.
+
+If some robot has been unseen by all units for `UNSEEN_S`, a unit reports the four sides of its image as
+static bodies (`BORDER_IDS`). A robot that only this unit sees then keeps the distance to a side that a body
+behind it requires. The sides are half-planes in the rectified image. The bound on approach speeds
+(`skyherd.control.avoidance.speed_bound`) applies to the nearest point of a half-plane as to the centre of a
+body.
 """
 
 from collections.abc import Sequence
@@ -19,25 +21,24 @@ from skyherd.geometry import Array, ComplexArray, IntArray, to_complex
 from skyherd.messages import Detections, UnitReport, find_rows
 
 UNSEEN_S = 1.0
-"""A robot that no unit has seen for longer may stand beyond a border, s. Chosen: several images, so that a
-marker that is missed in some of them changes nothing, and below the time for which robots remember bodies
-that are no longer reported (`AvoidanceRule.lifetime_s`, 2 s), so that the border takes over before that."""
+"""Time after which an unseen robot may stand beyond a border, s. Chosen: several images, so that missed
+markers have no effect, and below the robots' memory of bodies (`AvoidanceRule.lifetime_s`, 2 s)."""
 
 HIDDEN_SIDES = 1.0
-"""How far inside the image the centre of a marker may lie that is not seen, in its sides. Chosen: half the
-diagonal of a marker that a border cuts is 0.71, and of a card of 1.4 sides, which detectors want whole, 1."""
+"""Maximum depth inside the image of the centre of an undetected marker, marker sides. Chosen: 0.71 is half
+the diagonal of a cut marker, 1 that of a card of 1.4 sides."""
 
 POINTS_A_SIDE = 17
-"""Points of each side that are rectified. Chosen: a rectified side is a straight line, or bent by the lens
-over its whole length; between points so close it strays from the chords by less than 1 % of the bend."""
+"""Number of points per side that are rectified. Chosen: a lens bends a side over its whole length; between 17
+points the curve deviates from its chords by less than 1 % of the bend."""
 
 QUARTER_TURN = 1j
-"""Turns the direction of a side, clockwise around the image, into its inward normal, as v points down."""
+"""Rotates the direction of a side, clockwise around the image, to its inward normal, since v points down."""
 
 
 @dataclass(frozen=True)
 class ImageBorder:
-    """The largest intersection of four half-planes, one a side of the image, that the image surely shows.
+    """Largest intersection of four half-planes, one per side, that the image is certain to show.
 
     A point x = u + iv of the rectified image, px, is inside where `Re(conj(n) x) >= c` for every side.
 
@@ -51,7 +52,7 @@ class ImageBorder:
 
     @classmethod
     def of(cls, image_size_px: Array, ground_map: GroundMap) -> "ImageBorder":
-        """The border of an image of a size (2,), px, as `ground_map` rectifies it.
+        """Return the border of an image of a size (2,), px, as `ground_map` rectifies it.
 
         Each side is replaced by the line parallel to its chord through its innermost point.
         """
@@ -67,18 +68,18 @@ class ImageBorder:
         return cls(normals, (normals.conj()[:, None] * points).real.max(axis=1))
 
     def depths_px(self, points: ComplexArray) -> Array:
-        """Distances (N, 4), px, of points (N,) of the rectified image from the sides, positive inside."""
+        """Return distances (N, 4), px, of rectified points (N,) from the sides, positive inside."""
         return np.asarray((self.normals.conj() * points[:, None]).real - self.offsets_px)
 
 
 @dataclass(frozen=True)
 class HiddenBeyond:
-    """A border beyond which robots may stand that no unit sees.
+    """Image border beyond which unseen robots may stand.
 
     Attributes:
-        border: of the image.
-        concerned_ids: (B,) robots that no other unit sees, and that are to keep away from it. What lies
-            beyond the border near any other robot is in that unit's image.
+        border: border of the image.
+        concerned_ids: (B,) robots that no other unit sees and that must avoid the border. Any other robot
+            gets the bodies beyond the border from another unit.
     """
 
     border: ImageBorder
@@ -86,7 +87,7 @@ class HiddenBeyond:
 
 
 class HiddenRobots:
-    """Watches whether any robot is hidden: when each was last seen by any unit that this one hears.
+    """Monitor of the time at which each robot was last seen by any unit in radio range.
 
     Args:
         ids: (N,) the team, ascending.
@@ -100,14 +101,14 @@ class HiddenRobots:
     def beyond(
         self, detections: Detections, reports: Sequence[UnitReport], ground_map: GroundMap
     ) -> HiddenBeyond | None:
-        """The border of this image if robots may stand beyond it, else None.
+        """Return the border of this image if robots may stand beyond it, or None.
 
-        At the first image all robots count as seen just now.
+        At the first image all robots count as just seen.
 
         Args:
             detections: all markers of the image, rectified.
             reports: the last report of each other unit.
-            ground_map: by which the detections were rectified.
+            ground_map: rectification map of the detections.
         """
         now_s = detections.time_s
         if self._seen_s is None:

@@ -1,7 +1,7 @@
-"""Which bodies are near one another in a unit's image, for the message that the unit sends to the robots.
+"""Nearby bodies in a unit's image, for the proximity message to the robots.
 
 Lengths are in marker sides, the only length that images and robots have in common. Obstacles carry markers
-like robots, but are not in the template; that is how they are told apart.
+like robots, but their ids are not in the template.
 """
 
 from dataclasses import dataclass, field, fields
@@ -16,12 +16,12 @@ from skyherd.messages.checks import check_numbers
 
 @dataclass(frozen=True)
 class BodyRule:
-    """What units know of bodies, in marker sides.
+    """Sizes of bodies as units know them, in marker sides.
 
     Attributes:
         radius_sides: radius of a robot's round body about the centre of its marker.
-        margin_sides: gap that is kept free between bodies.
-        horizon_sides: widest gap that is reported to robots.
+        margin_sides: minimum gap between bodies.
+        horizon_sides: maximum gap that is reported to robots.
         obstacles: radius of each obstacle, by the id of its marker.
     """
 
@@ -36,7 +36,7 @@ class BodyRule:
 
 @dataclass(frozen=True)
 class _Pairs:
-    """P pairs of a robot, by its row, and something to keep away from; the rest is as in `Proximity`."""
+    """P pairs of a robot, by its row, and a body to avoid; the other fields are as in `Proximity`."""
 
     rows: IntArray
     other_ids: IntArray
@@ -49,16 +49,17 @@ class _Pairs:
 def proximity(
     detections: Detections, team_ids: IntArray, rule: BodyRule, hidden: HiddenBeyond | None = None
 ) -> Proximity:
-    """All pairs of a robot and another body within the horizon, each in the robot's own frame.
+    """Return all pairs of a robot and another body within the horizon, each in the robot's own frame.
 
-    The bearing is `heading - arg(offset)`, since angles in the image run clockwise seen from above, and those
-    of the robot counter-clockwise.
+    The bearing is `heading - arg(offset)`: image angles run clockwise seen from above, robot angles
+    counter-clockwise.
 
     Args:
         detections: all markers in the image.
         team_ids: (N,) the robots.
         rule: radii, margin and horizon.
-        hidden: the border of the image, where robots may be hidden beyond it, and whom it concerns.
+        hidden: the border of the image, if unseen robots may stand beyond it, and the robots that must avoid
+            it.
     """
     team = frozenset(team_ids.tolist())
     bodies = detections.select(team | rule.obstacles.keys())
@@ -82,10 +83,10 @@ def proximity(
 
 
 def _pairs_of_bodies(bodies: Detections, team: frozenset[int], rule: BodyRule) -> _Pairs:
-    """Robots of the image and the other bodies in it.
+    """Return the pairs of a robot and another body in the image.
 
-    A length in the image is divided by the mean side of the two markers, which is right under a tilt of the
-    camera as well.
+    A length in the image is divided by the mean side of the two markers, which is also correct under camera
+    tilt.
     """
     points, sides = to_complex(bodies.centers_px), bodies.sides_px
     is_robot = among(bodies.ids, team)
@@ -107,7 +108,10 @@ def _pairs_of_bodies(bodies: Detections, team: frozenset[int], rule: BodyRule) -
 
 
 def _pairs_with_border(bodies: Detections, hidden: HiddenBeyond, rule: BodyRule) -> _Pairs:
-    """Robots of the image and its sides: behind each a robot stands at the nearest place that is not seen."""
+    """Return the pairs of a robot and a side of the image.
+
+    A hidden robot is assumed at the nearest unseen point behind each side.
+    """
     depths = hidden.border.depths_px(to_complex(bodies.centers_px)) / bodies.sides_px[:, None]
     reach = 2 * rule.radius_sides + rule.margin_sides + HIDDEN_SIDES
     near = among(bodies.ids, hidden.concerned_ids)[:, None] & (depths - reach < rule.horizon_sides)

@@ -1,1 +1,1 @@
-"""How a unit flies, from image quantities alone."""
+"""Flight laws of a unit, from image quantities alone."""

@@ -1,4 +1,4 @@
-"""Memory of image points: where robots lie in a unit's image, also those that it does not see now."""
+"""Memory of image points: positions of robots in a unit's image, including robots outside the view."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -16,16 +16,16 @@ from skyherd.messages import Detections, UnitReport, centred
 class ImageMemory:
     """Last known image points of the team in one unit's image, updated as the unit moves.
 
-    Two robots that two units see determine the similarity between their images, and so the places in this
-    unit's image of all robots that the other unit sees, outside the frame as well; two robots placed so do
-    the same for a unit that shares none with this one. The similarity between this unit's last image and the
-    present one, fitted to the robots in both, moves the points of robots that nobody sees now.
+    Two robots that two units see determine the similarity between their images. It gives the positions in
+    this unit's image of all robots that the other unit sees, inside the frame or not. Two robots located in
+    this way do the same for a unit without common robots. Robots that no unit sees now are moved by the
+    similarity between this unit's last and present image, fitted to the robots in both.
 
     Attributes:
-        template: names the team.
+        template: template with the ids of the team.
         points_px: (N,) as `u + iv`, in the order of the template's ids.
-        known: (N,) whether a robot has a place yet.
-        seen_s: (N,) when the unit itself saw it last; -inf if never.
+        known: (N,) mask of the robots with a known position.
+        seen_s: (N,) time at which the unit itself last saw each robot; -inf if never.
         centers_px: image centres of the other units in the own image, by unit.
     """
 
@@ -42,7 +42,7 @@ class ImageMemory:
         self.seen_s = np.full(count, -np.inf)
 
     def update(self, seen: Detections, reports: Sequence[UnitReport]) -> None:
-        """Take in an image and the last report of each other unit."""
+        """Update the memory with an image and the last report of each other unit."""
         rows, points = self.rows(seen.ids), to_complex(seen.centers_px)
         moved = _fit(self.points_px[rows], points, self.known[rows] & (self.seen_s[rows] > -np.inf))
         if moved is not None:
@@ -60,15 +60,15 @@ class ImageMemory:
     def _place_reported(
         self, reports: Sequence[UnitReport], in_view: BoolArray
     ) -> tuple[list[UnitReport], list[UnitReport]]:
-        """Place robots that only others see; of several reports of one robot the last counts.
+        """Compute positions of robots that only other units see; the last report of a robot is used.
 
         Args:
             reports: reports of other units.
-            in_view: (N,) robots whose places in this unit's present image are known.
+            in_view: (N,) mask of the robots with a known position in this unit's present image.
 
         Returns:
-            The reports whose robots were placed, and those that have fewer than two robots in common with
-            what was known.
+            The reports that were used, and the reports with fewer than two robots in common with the known
+            ones.
         """
         sender = np.repeat(np.arange(len(reports)), [report.ids.size for report in reports])
         rows = self.rows(np.concatenate([report.ids for report in reports]))
@@ -92,17 +92,17 @@ class ImageMemory:
         )
 
     def rows(self, ids: IntArray) -> IntArray:
-        """Rows of robots, all of the team."""
+        """Return the rows of robots of the team."""
         return np.asarray(self.template.ids.searchsorted(ids), dtype=np.int64)
 
     def centred(self, ids: IntArray, image_size_px: Array) -> Array:
-        """(M, 2) points, from the image centre in half images, of those of the robots that have a place."""
+        """Return points (M, 2), from the image centre in half images, of the robots with a known position."""
         rows = self.rows(ids)
         return centred(to_points(self.points_px[rows[self.known[rows]]]), image_size_px)
 
 
 def _fit(source: ComplexArray, target: ComplexArray, use: BoolArray) -> Similarity | None:
-    """The similarity from the points in `use` (N,) to their counterparts; None if there is none."""
+    """Return the similarity from the points in `use` (N,) to their counterparts, or None if undefined."""
     if np.count_nonzero(use) < 2:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Flight for the tree protocol: keep in view, with a margin, all robots that the unit controls."""
+"""Flight law of the tree protocol: keep all controlled robots in view, with a margin."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,53 +10,53 @@ from skyherd.control.formation.template import Template
 from skyherd.control.policy import FlightLaw, FlightTask
 from skyherd.geometry import Array, IntArray, to_points
 from skyherd.messages import NO_ID, Detections, FlightCommand, UnitReport, centred
-from skyherd.messages.checks import check_numbers
+from skyherd.messages.checks import check_kind, check_numbers
 
 MIN_DISTANCE = 1e-6
-"""Distances between image centres, in half images, are held above this where they divide: two units may hang
-at one place, and are then not pushed in any direction."""
+"""Minimum divisor for distances between image centres, half images. Chosen: it avoids 0 / 0; units at one
+place are then not pushed in any direction."""
 
 ANCHORS = 3
-"""Robots that a unit on patrol must see, to know where the others are. Chosen: two give the similarity
-between two images, and one may be missed."""
+"""Minimum number of visible robots on patrol. Chosen: two determine the similarity between two images, and
+one may be missed."""
 
 CEILING = 0.1
-"""A unit that could go higher by less than this share of its height is at its ceiling. Chosen: it gets there
-by ever smaller steps, and what it would still see by going on is a tenth more."""
+"""A unit that could climb by less than this share of its height is at its ceiling. Chosen: it approaches the
+ceiling in ever smaller steps, and would gain at most 10 % of view."""
 
 
 @dataclass
 class KeepInView(FlightLaw):
-    """Fly so that the whole control set lies within `desired_radius` of the image centre.
+    """Flight law that keeps the whole control set within `desired_radius` of the image centre.
 
-    Laterally towards the middle of the set, `v = lateral_gain c`, with c the centre of its bounding box in
-    the image. Up, and the zoom out, in proportion to how much farther than `desired_radius` the farthest
-    robot is; down and in if it is nearer.
+    The lateral velocity leads to the middle of the set: `v = lateral_gain c`, with c the centre of its
+    bounding box in the image. The unit climbs and zooms out in proportion to the excess of the farthest robot
+    over `desired_radius`. It descends and zooms in if the farthest robot is nearer.
 
-    - Robots that the unit does not see count where its memory has them (control/flight/image_memory.py), so
-      that a unit that takes over robots outside its view flies to where they are; while one of them has no
-      place yet, it climbs.
-    - Robots that it seeks count as well. They draw it aside only while the set itself is within the radius,
-      since below a ceiling it may be unable to have both.
-    - What it has to see may be more than it can, where markers would become too small. Then it patrols: it
-      flies to the robot that it has not seen for longest until it has seen it for `patrol_s`, and then to the
-      next, as long as it sees enough others to know where it is.
-    - A unit without robots keeps in view all that it sees, and climbs to see more.
-    - Units that come too near to one another, measured between image centres in marker sides, move apart.
-    - Of several units with the same set, all but the first stay where they are.
+    - Unseen robots count at their remembered positions (control/flight/image_memory.py). A unit that takes
+      over robots outside its view therefore flies to them. While one of them has no known position, it
+      climbs.
+    - Sought robots count as well. They move the unit laterally only while the set itself is within the
+      radius: below a ceiling it may be unable to keep both in view.
+    - If markers would become too small for the required view, the unit patrols. It flies to the robot unseen
+      for longest, until it has seen that robot for `patrol_s`, then to the next. It must see enough others to
+      know its position.
+    - A unit without robots keeps all visible robots in view and climbs to see more.
+    - Units that come too close move apart, measured between image centres in marker sides.
+    - Of several units with the same set, only the first moves.
 
     Attributes:
-        template: names the team.
+        template: template with the ids of the team.
         desired_radius: image distance of the farthest robot, in halves of the image's shorter side. Chosen:
             below the safety radius, so that a robot may move during a dwell time before it leaves the set.
-        lateral_gain_mps: speed for a centre that is half an image off.
-        climb_gain_mps: climb for a farthest robot that is half an image too far out.
+        lateral_gain_mps: speed per half image of offset of the centre.
+        climb_gain_mps: climb per half image of excess of the farthest robot.
         zoom_gain_ps: relative change of zoom for the same, 1/s.
-        dead_band: errors of radius below this change nothing, so that noise does not move the unit.
-        separation_sides: least distance between the image centres of two units, in marker sides.
-        min_side_px: the unit neither climbs nor zooms out beyond where the markers' median side is this,
-            and sinks or zooms in where it is less, since a marker that is too small is not detected at all.
-        patrol_s: how long it looks at each robot on patrol. Chosen: two dwell times, in which a robot can be
+        dead_band: radius error without effect, so that noise does not move the unit.
+        separation_sides: minimum distance between the image centres of two units, in marker sides.
+        min_side_px: minimum median side of the markers. The unit neither climbs nor zooms out below it, and
+            descends or zooms in if it is smaller: a marker that is too small is not detected.
+        patrol_s: observation time of each robot on patrol. Chosen: two dwell times, in which a robot can be
             adopted.
     """
 
@@ -78,11 +78,12 @@ class KeepInView(FlightLaw):
     def __post_init__(self) -> None:
         gains = ("lateral_gain_mps", "climb_gain_mps", "zoom_gain_ps", "dead_band")
         lengths = ("separation_sides", "min_side_px")
+        check_kind("KeepInView.template", self.template, Template, "a Template")
         check_numbers(self, positive=("desired_radius",), not_negative=(*gains, *lengths))
         self.memory = ImageMemory(self.template)
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
-        """Velocity and zoom that keep the robots of the task, seen or remembered, in view."""
+        """Return velocity and zoom that keep the robots of the task, seen or remembered, in view."""
         self.memory.update(seen, reports)
         if len(seen):
             self._side_px = float(np.sort(seen.sides_px)[len(seen) // 2])
@@ -130,7 +131,7 @@ class KeepInView(FlightLaw):
         )
 
     def _patrol(self, seen: Detections, robots: IntArray) -> Array | None:
-        """The place (2,), in half images, to fly to while `robots` cannot all be seen at once, or None."""
+        """Return the point (2,), half images, to fly to while `robots` do not fit into the view, or None."""
         known = robots[self.memory.known[self.memory.rows(robots)]]
         if not known.size or len(seen) < ANCHORS:
             self._target = NO_ID
@@ -145,11 +146,11 @@ class KeepInView(FlightLaw):
 
     @property
     def _room(self) -> float:
-        """How much higher it may go, as a share of its height, before markers are too small."""
+        """Possible climb, as a share of the height, before markers are too small."""
         return self._side_px / self.min_side_px - 1 if self.min_side_px else np.inf
 
     def _away_from_others(self, seen: Detections) -> Array:
-        """Velocity (2,) away from units that are too near."""
+        """Return a velocity (2,) away from units that are too close."""
         if not (len(seen) and self.memory.centers_px and self.separation_sides):
             return np.zeros(2)
         centers = to_points(list(self.memory.centers_px.values()))
@@ -161,10 +162,10 @@ class KeepInView(FlightLaw):
 
 
 def _middle(points: Array) -> Array:
-    """Centre (2,) of the bounding box of points (M, 2)."""
+    """Return the centre (2,) of the bounding box of points (M, 2)."""
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
 
 
 def _farthest(points: Array) -> float:
-    """Largest distance of points (M, 2) from the image centre."""
+    """Return the largest distance of points (M, 2) from the image centre."""
     return float(np.linalg.norm(points, axis=1).max())

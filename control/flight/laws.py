@@ -1,8 +1,8 @@
 """Flight laws of the paper and its companion: hover, follow the robots, fly along their convex hull.
 
-Lengths are in halves of the image's shorter side, measured from the image centre, so that gains do not depend
-on the camera; the autopilot that obeys is part of the world. `skyherd.control.policy.FlightLaw` says what a
-law has to keep to.
+Lengths are in halves of the image's shorter side, measured from the image centre. Gains therefore do not
+depend on the camera. The autopilot is part of the world. `skyherd.control.policy.FlightLaw` is the contract
+of a law.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from skyherd.messages.checks import check_numbers
 
 @dataclass(frozen=True)
 class Hover(FlightLaw):
-    """Stay, turning at a constant rate if asked."""
+    """Flight law that holds the position, with a constant turn rate if requested."""
 
     yaw_rate_radps: float = 0.0
 
@@ -28,7 +28,7 @@ class Hover(FlightLaw):
         check_numbers(self, finite=("yaw_rate_radps",))
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
-        """No translation."""
+        """Return a command without translation."""
         return FlightCommand.hold(seen.unit_id, self.yaw_rate_radps)
 
 
@@ -36,22 +36,21 @@ class Hover(FlightLaw):
 class Follow(FlightLaw):
     """Algorithm 1 of the companion paper (Aranda et al., T-RO 2015): keep certain robots in view.
 
-    To be kept are, for each neighbour in the initial graph, the two robots in common that are nearest to the
-    image centre, and the robots that are this unit's responsibility. With c their centroid in the image and d
-    the distance of the farthest of them, both from the image centre, the unit flies laterally at
-    `lateral_gain c`, and climbs at `climb_gain (d - desired_radius)`.
+    The unit keeps two groups in view: for each neighbour in the initial graph the two common robots nearest
+    to the image centre, and the robots for which it is responsible. Let c be their centroid in the image and
+    d the distance of the farthest one, both from the image centre. The lateral velocity is `lateral_gain c`
+    and the climb `climb_gain (d - desired_radius)`.
 
     In the companion paper a unit is responsible for the robots that only it sees. Two units that see one
-    robot may then each leave it to the other, and one that sinks hands all its robots to one that climbs.
-    Here a robot that several units control at the start is for good the responsibility of the one that sees
-    it nearest to its image centre; and a robot that no other unit controls is this unit's at all times.
+    robot may then each leave it to the other. One that descends hands all its robots to one that climbs. Here
+    a robot that several units control at the start is permanently the responsibility of the unit that sees it
+    nearest to its image centre. A robot that no other unit controls is always this unit's responsibility.
 
     Attributes:
-        desired_radius: image distance of the farthest robot to be kept, in halves of the image's shorter
-            side.
-        lateral_gain_mps: speed for a centroid that is half an image off.
-        climb_gain_mps: climb for a farthest robot that is half an image too far out.
-        dead_band: climb only for an error above this, so that noise does not move the unit.
+        desired_radius: image distance of the farthest robot to keep, in halves of the image's shorter side.
+        lateral_gain_mps: speed per half image of offset of the centroid.
+        climb_gain_mps: climb per half image of excess of the farthest robot.
+        dead_band: climb error without effect, so that noise does not move the unit.
     """
 
     desired_radius: float = 0.7
@@ -67,7 +66,7 @@ class Follow(FlightLaw):
         check_numbers(self, positive=("desired_radius",), not_negative=gains)
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
-        """Velocity towards the centroid of the robots to be kept, and climb to the height that keeps them."""
+        """Return a command towards the centroid of the robots to keep, with a climb to keep them in view."""
         controlled = task.controlled_ids
         if self._start is None:
             self._start, self._responsible_for = _distances(seen), controlled
@@ -95,7 +94,7 @@ class Follow(FlightLaw):
     def _robots_to_keep(
         self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]
     ) -> IntArray:
-        """Robots that are this unit's responsibility, and two in common with each neighbour."""
+        """Return the robots for which this unit is responsible, and two in common with each neighbour."""
         ours = set(controlled.tolist())
         theirs = [report.controlled for report in reports]
         keep = set(self._responsible_for.tolist()) | ours.difference(*theirs)
@@ -110,14 +109,17 @@ class Follow(FlightLaw):
 
 
 def _distances(seen: Detections | UnitReport) -> dict[int, float]:
-    """Distance from the image centre of each robot seen."""
+    """Return the distance from the image centre of each robot seen."""
     return dict(zip(seen.ids.tolist(), centre_distances(seen).tolist(), strict=True))
 
 
 def _nearer_there(shared: IntArray, start: dict[int, float], unit_id: int, report: UnitReport) -> IntArray:
-    """Those of `shared` that the reporting unit saw nearer to its image centre; of equals, the lower unit's.
+    """Return the robots of `shared` that the reporting unit saw nearer to its image centre.
 
-    Both compare their own first images, so that each robot is the responsibility of exactly one of the two.
+    Ties go to the lower unit.
+
+    Both units compare their own first images. Each robot is therefore the responsibility of exactly one of
+    the two.
     """
     there = _distances(report)
     theirs = [
@@ -130,16 +132,17 @@ def _nearer_there(shared: IntArray, start: dict[int, float], unit_id: int, repor
 
 @dataclass(frozen=True)
 class Perimeter(FlightLaw):
-    """Fly along the perimeter of the robots' convex hull, turning slowly (the paper's one-camera case).
+    """Flight law along the perimeter of the robots' convex hull (the paper's one-camera case).
 
-    The velocity is along the hull's edge nearest to the image centre, plus a pull towards that edge.
+    The velocity is along the hull's edge nearest to the image centre, plus a pull towards that edge. The unit
+    may turn slowly.
 
     Attributes:
-        desired_radius: image distance at which the farthest robot is kept by height.
-        speed_mps: along the perimeter.
-        lateral_gain_mps: pull for a perimeter half an image off.
-        climb_gain_mps: climb for a farthest robot half an image too far out.
-        yaw_rate_radps: counter-clockwise seen from above.
+        desired_radius: image distance of the farthest robot, regulated by the height.
+        speed_mps: speed along the perimeter.
+        lateral_gain_mps: pull per half image of distance from the perimeter.
+        climb_gain_mps: climb per half image of excess of the farthest robot.
+        yaw_rate_radps: turn rate, counter-clockwise seen from above.
     """
 
     desired_radius: float = 0.7
@@ -154,7 +157,7 @@ class Perimeter(FlightLaw):
         check_numbers(self, positive=("desired_radius",), not_negative=gains, finite=rates)
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
-        """Velocity along the hull of the controlled robots."""
+        """Return the velocity along the hull of the controlled robots."""
         robots = seen.select(task.controlled_ids)
         points = centred(robots.centers_px, robots.image_size_px)
         edge = _nearest_hull_edge(points)
@@ -171,7 +174,7 @@ class Perimeter(FlightLaw):
 
 
 def _nearest_hull_edge(points: Array) -> tuple[Array, Array] | None:
-    """Point of the hull's boundary nearest to the origin, and the unit vector along its edge, or None."""
+    """Return the hull's boundary point nearest to the origin and the unit vector along its edge, or None."""
     try:
         corners = points[ConvexHull(points).vertices]
     except (QhullError, ValueError):

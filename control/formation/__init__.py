@@ -1,1 +1,1 @@
-"""The shape to form: template, fitted similarity, size, who takes which place, one shape after another."""
+"""Formation: template, fitted similarity, size, role assignment and schedule of shapes."""

@@ -1,39 +1,41 @@
-"""The assignment of robots to template points under which the best-fitting similarity fits best.
+"""Assignment of robots to template points that minimises the residual of the best-fitting similarity.
 
-Let x_i be the robots' places and p_c(i) the template point of robot i, complex and centred. The least-squares
-similarity (`skyherd.control.formation.similarity`) leaves the sum of squared distances
+Let x_i be the robots' positions and p_c(i) the template point of robot i, complex and centred. The residual
+of the least-squares similarity (`skyherd.control.formation.similarity`) is
 
-    J = Σ |x_i|² - |Z|² / Σ |p_i|²,    Z = Σ conj(p_c(i)) x_i,
+    J = Σ |x_i|² - |Z|² / Σ |p_i|²,    Z = Σ conj(p_c(i)) x_i.
 
-so that the best map c is the one with the largest |Z|. For a given rotation φ the best map maximises
-Re(e^{-iφ} Z), which is a linear assignment problem in which neither size nor place of the shape matters.
-Alternating the two, that is, the best map for a rotation and then the best rotation φ = arg Z for the map,
-never lowers |Z| and ends at a local maximum; starts from rotations all around the circle find the others.
+The best map c therefore has the largest |Z|. For a given rotation φ the best map maximises Re(e^{-iφ} Z).
+That is a linear assignment problem, independent of size and position of the shape. The search alternates
+between the best map for a rotation and the best rotation φ = arg Z for the map. This never lowers |Z| and
+ends at a local maximum. Starts from rotations all around the circle find the others.
 """
 
 import numpy as np
 
 from skyherd.geometry import ComplexArray, IntArray
+from skyherd.messages.checks import check_vectors
 
 MAX_ITERATIONS = 30
-"""Limit of the alternations from one start. Chosen: each raises |Z| or ends the search, and a few suffice."""
+"""Maximum number of alternations from one start. Chosen: each raises |Z| or ends the search; a few suffice.
+Maximum number of alternations from one start. Chosen: each raises |Z| or ends the search; a few suffice."""
 
 
 def correlation(robots: ComplexArray, points: ComplexArray) -> complex:
-    """Z of robots (M,) and their template points (M,), both of which are centred here."""
+    """Return Z of robots (M,) and their template points (M,); both are centred here."""
     return complex(np.vdot(points - points.mean(), robots - robots.mean()))
 
 
 def assign(robots: ComplexArray, points: ComplexArray, rotation: complex, *, classes: IntArray) -> IntArray:
-    """The map c (M,) that maximises Re(conj(rotation) Σ conj(p_c(i)) x_i) within the classes.
+    """Return the map c (M,) that maximises Re(conj(rotation) Σ conj(p_c(i)) x_i) within the classes.
 
     Args:
-        robots: (M,) centred places of the robots.
+        robots: (M,) centred positions of the robots.
         points: (M,) centred template points.
-        rotation: e^{iφ}; its length does not matter.
+        rotation: e^{iφ}; its magnitude has no effect.
         classes: (M,) class of each robot and of the point in the same row; c(i) is of robot i's class.
     """
-    # Imported where it is needed: it takes 0.2 s, and most runs do without.
+    # Imported here, since it takes 0.2 s and most runs do not need it.
     from scipy.optimize import linear_sum_assignment
 
     order = np.arange(robots.size)
@@ -48,16 +50,16 @@ def assign(robots: ComplexArray, points: ComplexArray, rotation: complex, *, cla
 def best_assignment(
     robots: ComplexArray, points: ComplexArray, classes: IntArray, *, starts: int = 0
 ) -> IntArray:
-    """The map c (M,) with the largest |Z| that was found: robot i is to take the point `points[c[i]]`.
+    """Search for the map c (M,) with the largest |Z|: robot i takes the point `points[c[i]]`.
 
-    The search starts from the rotation that fits the present map best, and from `starts` others. The present
-    map, which is the identity, is returned where nothing better is found.
+    The search starts from the best rotation for the present map, and from `starts` others. Without an
+    improvement it returns the present map, the identity.
 
     Args:
-        robots: (M,) places of the robots.
-        points: (M,) the template points that the robots have now, in the robots' order.
+        robots: (M,) positions of the robots.
+        points: (M,) present template points of the robots, in the robots' order.
         classes: (M,) class of each robot; points are exchanged within a class only.
-        starts: number of further rotations to start from, evenly spread over the circle.
+        starts: number of further start rotations, evenly spread over the circle.
     """
     x, p = robots - robots.mean(), points - points.mean()
     best = np.arange(robots.size)
@@ -73,14 +75,15 @@ def best_assignment(
 def ascend(
     x: ComplexArray, p: ComplexArray, rotation: complex, *, classes: IntArray
 ) -> tuple[IntArray, complex]:
-    """The map (M,) at which assigning and rotating in turn end, and its Z.
+    """Alternate assignment and rotation until convergence; return the map (M,) and its Z.
 
     Args:
-        x: (M,) centred places of the robots.
+        x: (M,) centred positions of the robots.
         p: (M,) centred template points.
-        rotation: where to start, e^{iφ} times any positive length.
+        rotation: start value, e^{iφ} times any positive number.
         classes: (M,) class of each robot.
     """
+    check_vectors("ascend", x=x, p=p, classes=classes)
     order, z = np.arange(x.size), rotation
     for _ in range(MAX_ITERATIONS):
         rotation = z / abs(z) if z else 1.0

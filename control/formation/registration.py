@@ -1,8 +1,8 @@
-"""Image registration: the image points of the whole team, from a unit's own view and those of its neighbours.
+"""Image registration: image points of the whole team, from a unit's own view and its neighbours' views.
 
-Two downward-looking cameras see the ground plane through images that differ by a similarity. Two robots that
-both views contain determine it, and it carries all other points of the neighbour's view into the unit's own
-image, also beyond its borders.
+Two downward-looking cameras see the ground plane through images that differ by a similarity. Two common
+robots determine it. It maps all other points of the neighbour's view into the unit's own image, also beyond
+its borders.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from skyherd.geometry import BoolArray, ComplexArray, IntArray, to_complex
 from skyherd.messages import Detections, UnitReport, rows_of
 
 MIN_COMMON_ROBOTS = 2
-"""Robots that two views must have in common. Derived: a similarity has four parameters, a point gives two."""
+"""Minimum number of common robots of two views. Derived: a similarity has four parameters, a point two."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class Registration:
 
     Attributes:
         points_px: (N,) points as `u + iv`, robots in the order of the team's ids.
-        known: (N,) mask of the robots whose points are known; the points of the others mean nothing.
+        known: (N,) mask of the robots with known points; the other points are undefined.
     """
 
     points_px: ComplexArray
@@ -33,12 +33,12 @@ class Registration:
 
 
 def register_views(team_ids: IntArray, seen: Detections, reports: Sequence[UnitReport]) -> Registration:
-    """Points of the team in a unit's image: those it sees itself, and those that other units see.
+    """Return points of the team in a unit's image, from its own view and the views of other units.
 
-    Each reported view is carried over by the similarity that fits the robots whose points are already known.
-    The view with the most such robots is taken next, so that a chain of overlapping views is followed to its
-    end; views with fewer than two, or whose common robots lie in one place, are left out. A report is older
-    than the image by some frames; the robots' motion in between is an error that is accepted.
+    Each reported view is mapped by the similarity that fits the robots with known points. The view with the
+    most such robots is next, so that a chain of overlapping views is followed to its end. Views with fewer
+    than two such robots, or with coincident ones, are ignored. A report is some frames older than the image.
+    The error from the robots' motion in between is accepted.
 
     Args:
         team_ids: (N,) robots of the team, ascending.

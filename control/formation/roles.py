@@ -1,22 +1,22 @@
 """Interchangeable roles: the units decide which robot takes which point of the template.
 
-Roles are one map. Who takes which point is a permutation with a version, and every report carries it whole.
-A unit follows the newest map that it has received. Therefore
+Roles are one map. It is a permutation with a version, and every report contains the whole map. A unit follows
+the newest map that it has received. Therefore
 
-- no unit ever gives one point to two robots, since every map is a permutation;
-- a lost message costs time and nothing else, and a unit that fails takes nothing with it;
-- nothing has to be confirmed. If two units had to agree on each exchange, messages that are lost half-way
-  would leave them in disagreement, and a robot could be passed on only from neighbour to neighbour.
+- no unit ever assigns one point to two robots, since every map is a permutation;
+- message loss only costs time, and a failed unit takes no information with it;
+- no acknowledgement is needed. If two units had to agree on each exchange, message loss could leave them in
+  disagreement. A robot could then only pass from neighbour to neighbour.
 
-Only one unit at a time may make a newer map: the one that has the current slot of the team's time among the
-units that it receives reports from, and only if all of these have reported the map that it starts from. It
-makes it for the whole team, whose places it knows from `skyherd.control.formation.registration`.
+Only one unit at a time may create a newer map. It is the unit with the current slot of the team's time among
+the units with received reports. All of these must have reported the map from which it starts. It creates the
+map for the whole team, whose positions it knows from `skyherd.control.formation.registration`.
 
-Until a newer map has reached all units, two units may give one point to two robots: for the delay of one
-message, and with a share p of messages lost for longer than n messages with probability p^n.
+Until a newer map has reached all units, two units may assign one point to two robots. This lasts for the
+delay of one message. With a message loss rate p it lasts longer than n messages with probability p^n.
 
-An exchange must lower the residual J (`skyherd.control.formation.assignment`) by a share of it. J falls by
-the robots' own motion as well, so that exchanges come to an end. docs/bodies.md has the details.
+An exchange must lower the residual J (`skyherd.control.formation.assignment`) by a share of it. The robots'
+own motion lowers J as well, so that exchanges come to an end. docs/bodies.md has the details.
 """
 
 from collections.abc import Sequence
@@ -30,17 +30,17 @@ from skyherd.control.formation.template import Template
 from skyherd.control.topology.slots import slot_at
 from skyherd.geometry import ComplexArray, IntArray
 from skyherd.messages import NO_ID, RoleMap, UnitReport
-from skyherd.messages.checks import check_numbers
+from skyherd.messages.checks import check_kind, check_numbers
 
 
 @dataclass(frozen=True)
 class RoleRule:
-    """Settings of the exchange of roles.
+    """Settings of the role exchange.
 
     Attributes:
         period_s: length of the slot in which one unit may exchange roles.
         gain: share of the residual J by which an exchange must lower it.
-        starts: rotations that the search starts from when more robots are known than at the last search.
+        starts: number of start rotations of the search, if more robots are known than at the last search.
         classes: (N,) class of each robot of the team; roles are exchanged within a class only. None if all
             robots are alike.
     """
@@ -56,12 +56,12 @@ class RoleRule:
 
 @dataclass
 class Roles:
-    """The map from robots to template points as one unit knows it.
+    """Map from robots to template points, as one unit knows it.
 
     Attributes:
-        rule: settings; None where every robot keeps the point that the template gives it.
+        rule: settings; None for fixed roles.
         template: the shape, with each robot's own point.
-        map: the newest map received or made.
+        map: the newest map received or created.
         shape: the template with the robots' points exchanged by the map.
     """
 
@@ -77,11 +77,11 @@ class Roles:
 
     @property
     def reported(self) -> RoleMap | None:
-        """The map for the unit's report; None where roles are fixed."""
+        """Map for the unit's report; None for fixed roles."""
         return self.map if self.rule else None
 
     def use_template(self, template: Template) -> None:
-        """Change to another shape: the map stays until the next exchange, which searches all rotations."""
+        """Change to another shape; the map stays until the next exchange, which searches all rotations."""
         if template is not self.template:
             self.template, self._known_robots = template, 0
             self._use(self.map)
@@ -96,11 +96,11 @@ class Roles:
             self._use(newest)
 
     def may_exchange(self, unit_id: int, time_s: float, reports: Sequence[UnitReport]) -> bool:
-        """Whether the unit may make a newer map now.
+        """Return whether the unit may create a newer map now.
 
-        It may at its first image in its own slot, if all units that report roles follow the same map. Slot
-        number `floor(time / period)` belongs to the units with known reports in turn, in the order of their
-        ids. The call has a side effect: it remembers the slot, and must be made once an image.
+        This is allowed at its first image in its own slot, if all units that report roles follow the same
+        map. Slot number `floor(time / period)` belongs to the units with known reports in turn, in the order
+        of their ids. The call has a side effect: it stores the slot. It must be made once per image.
         """
         if self.rule is None:
             return False
@@ -113,13 +113,13 @@ class Roles:
         return all(report.roles is None or report.roles.precedence == own for report in reports)
 
     def exchange(self, unit_id: int, team: Registration) -> bool:
-        """Make a newer map if one lowers the residual by more than the rule's gain; whether one was made.
+        """Create a newer map if one lowers the residual by more than the gain; return whether it did.
 
-        To be called only if `may_exchange` allows it. Robots whose places are not known keep their points.
+        Call it only if `may_exchange` allows it. Robots with unknown positions keep their points.
 
         Args:
             unit_id: the unit, which becomes the map's author.
-            team: places of the team's robots in the unit's image.
+            team: positions of the team's robots in the unit's image.
         """
         if self.rule is None:
             return False
@@ -143,12 +143,14 @@ class Roles:
 
 
 def _residual(robots: ComplexArray, points: ComplexArray) -> float:
-    """J, px²: sum of squared distances from robots (M,) to points (M,) under the best similarity."""
+    """Return the residual J, px², of robots (M,) and points (M,) under the best similarity."""
     x, p = robots - robots.mean(), points - points.mean()
     return float(np.vdot(x, x).real - abs(correlation(robots, points)) ** 2 / np.vdot(p, p).real)
 
 
 def newest_roles(maps: Sequence[RoleMap | None], robots: int) -> IntArray:
-    """Template rows (N,) of the robots by the newest of several maps; the identity if all are None."""
+    """Return template rows (N,) of the robots by the newest of several maps; the identity if all are None."""
     known = [role_map for role_map in maps if role_map is not None]
+    for role_map in known:
+        check_kind("newest_roles: maps", role_map, RoleMap, "RoleMaps, or None")
     return max(known, key=lambda role_map: role_map.precedence).roles if known else np.arange(robots)

@@ -1,4 +1,4 @@
-"""A schedule of shapes: which shape the team is to form at which of the team's times."""
+"""Schedule of shapes: the shape that the team must form at each of the team's times."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,9 +10,9 @@ from skyherd.messages import TIME_TOLERANCE_S
 
 @dataclass(frozen=True)
 class Schedule:
-    """A first shape, and later ones that each take the place of the one before.
+    """Sequence of shapes: a first one, and later ones that each replace the one before.
 
-    All units have the same schedule and the same clock, so that nothing has to be agreed on at a change.
+    All units have the same schedule and the same clock. A change therefore needs no agreement.
 
     Attributes:
         first: the shape from the start.
@@ -33,6 +33,6 @@ class Schedule:
             raise InputError("template.then", "another team", "a point for each robot of the first shape")
 
     def at(self, time_s: float) -> Template:
-        """The shape to form at a time; the very object given, so that a change can be told by identity."""
+        """Return the shape at a time; it is the given object, so that a change is detected by identity."""
         begun = [shape for at_s, shape in self.later if at_s <= time_s + TIME_TOLERANCE_S]
         return begun[-1] if begun else self.first

@@ -1,9 +1,9 @@
-"""The least-squares similarity from template to image (paper, eq. 1 and Algorithm 1), and desired points.
+"""Least-squares similarity from template to image (paper, eq. 1 and Algorithm 1), and desired points.
 
-Points are complex numbers `u + iv`, so that a proper similarity is `z ↦ a (z - c) + d` with one complex
-factor `a = s e^{iφ}`: scale s, rotation φ. Bounds on the scale keep the shape above a smallest size: the fit
-stays a least-squares fit among the similarities within the bounds, so that V (paper, eq. 9) is still a cost
-whose gradient is current minus desired point, and still falls (docs/bodies.md, "Size").
+Points are complex numbers `u + iv`. A proper similarity is then `z ↦ a (z - c) + d` with one complex factor
+`a = s e^{iφ}`: scale s, rotation φ. Bounds on the scale keep the shape above a minimum size. The fit remains
+a least-squares fit among the similarities within the bounds. The Lyapunov function V (paper, eq. 9) therefore
+keeps its gradient, current minus desired point, and still decreases (docs/bodies.md, "Size").
 """
 
 from dataclasses import dataclass
@@ -12,27 +12,24 @@ import numpy as np
 
 from skyherd.errors import DegenerateSetError, SingularSetError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
+from skyherd.messages.checks import check_vectors
 
 COINCIDENT = 1e-12
-"""Points whose distances from their centroid are below this share of their distance from the origin count as
-one point. Chosen: 10^4 times the rounding of a coordinate (2^-53 = 1e-16), so that what is left is digits;
-and far below any image, where a pixel is 1e-4 of the largest coordinate."""
+"""Points closer to their centroid than this share of their distance from the origin coincide. Chosen: 10^4
+times the rounding of a coordinate (2^-53); a pixel is 1e-4 of the largest coordinate."""
 
 VANISHING = 1e-9
-"""A fit counts as having scale zero if it explains less than the square of this share of the points' squared
-spread. Chosen: above the rounding of a sum of some hundred products (1e-14), so that a square fitted to its
-mirror image, which is best fitted by scale zero, is told apart from a poor fit."""
+"""A fit has scale zero if it explains less than the square of this share of the squared spread. Chosen: above
+the rounding of a sum of some hundred products (1e-14), so that singular and poor fits differ."""
 
 MIN_SHARE = 0.01
-"""Least scale of the goals' similarity, as a share of the root mean square distance of the current points
-over that of the template. Chosen: the fit of a start that is below explains less than a ten-thousandth of its
-squared spread, as of one start in 2500 of six robots at random places (the share explained has the
-distribution Beta(1, 4)), so that the law is the paper's for all others."""
+"""Minimum scale of the goals' similarity, as a share of the RMS spread of the current points over the
+template's. Chosen: one in 2500 random starts of six robots is below, as the share explained is Beta(1, 4)."""
 
 
 @dataclass(frozen=True)
 class Similarity:
-    """The map `z ↦ factor (z - source) + target`, which takes centroid to centroid.
+    """Map `z ↦ factor (z - source) + target`, from centroid to centroid.
 
     Attributes:
         factor: H_s of the paper (eq. 1) as one complex number, `s e^{iφ}`.
@@ -46,7 +43,7 @@ class Similarity:
 
     @property
     def scale(self) -> float:
-        """Scale s_j: image pixels for a template pixel."""
+        """Scale s_j: image pixels per template pixel."""
         return abs(self.factor)
 
     @property
@@ -55,10 +52,10 @@ class Similarity:
         return float(np.angle(self.factor))
 
     def resized(self, low: float, high: float) -> "Similarity":
-        """The same similarity with its scale brought between two bounds, about the centroids.
+        """Return the same similarity with its scale clipped to two bounds, about the centroids.
 
-        Of all similarities within the bounds it fits best: for a given rotation the residual is quadratic in
-        the scale, and the best rotation does not depend on the scale.
+        It is the best fit of all similarities within the bounds. For a given rotation the residual is
+        quadratic in the scale, and the best rotation does not depend on the scale.
         """
         if low <= self.scale <= high:
             return self
@@ -66,23 +63,24 @@ class Similarity:
         return Similarity(self.factor / self.scale * scale, self.source, self.target)
 
     def __call__(self, points: ComplexArray) -> ComplexArray:
-        """Images (N,) of points (N,)."""
+        """Return images (N,) of points (N,)."""
         return np.asarray(self.factor * (points - self.source) + self.target)
 
 
 def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
-    """The similarity that takes template points (N,) nearest to current points (N,).
+    """Fit the least-squares similarity from template points (N,) to current points (N,).
 
-    It minimises `Σ |H p'_ic - p_ic|²` over `H = s e^{iφ}`, with both sets centred (paper, eq. 1 and
-    Algorithm 1; Gower 2004). In complex numbers the normal equation is
+    It minimises `Σ |H p'_ic - p_ic|²` over `H = s e^{iφ}`, with both sets centred (paper, eq. 1 and Algorithm
+    1; Gower 2004). In complex numbers the solution of the normal equation is
 
         H = Σ conj(p'_ic) p_ic / Σ |p'_ic|².
 
     Raises:
         DegenerateSetError: there are fewer than two points; or all template points coincide, so that no
-            similarity exists; or all current points do, so that its scale is zero; or the best scale is zero
-            (the singular arrangements of the paper's Remark 2).
+            similarity exists; or all current points coincide, so that its scale is zero; or the best scale is
+            zero (the singular arrangements of the paper's Remark 2).
     """
+    check_vectors("fit_similarity", template=template, current=current)
     if template.size != current.size or template.size < 2:
         raise DegenerateSetError(f"{current.size} points define no similarity; at least two are needed")
     source, target = template.sum() / template.size, current.sum() / current.size
@@ -99,17 +97,17 @@ def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
 
 
 def fit_goals(template: ComplexArray, current: ComplexArray) -> Similarity:
-    """The similarity (see `fit_similarity`), or near a singular arrangement one that leads out of it.
+    """Fit the similarity (see `fit_similarity`); near a singular arrangement return one that leads out of it.
 
-    With `t` and `x` the centred template and current points, `x = a t + y` and y at right angles to t, the
-    law `x' = -k (x - H t)` with the best-fitting `H = a` lets y die out and leaves a as it is. Where a is 0
-    no rotation fits best (the paper's Remark 2). So the scale is at least `MIN_SHARE |x| / |t|`, with the
-    rotation of the best fit, or the template's own in the image where there is none. y dies out as before,
-    and with it V, and a grows: from 0 to `MIN_SHARE / e` of what x was at the start. A shape so small is
-    what bounds on its size are for (`skyherd.control.formation.size`).
+    Let `t` and `x` be the centred template and current points, and `x = a t + y` with y orthogonal to t. The
+    law `x' = -k (x - H t)` with the best-fitting `H = a` makes y decay and keeps a constant. If a is 0, no
+    rotation fits best (the paper's Remark 2). The scale is therefore at least `MIN_SHARE |x| / |t|`. The
+    rotation is that of the best fit, or the template's own rotation in the image if the best is undefined. y
+    then decays as before, and V with it, while a grows from 0 to `MIN_SHARE / e` of the initial x. Bounds on
+    the size prevent such a small shape (`skyherd.control.formation.size`).
 
     Raises:
-        DegenerateSetError: as `fit_similarity`, but for the singular arrangements.
+        DegenerateSetError: as `fit_similarity`, except for the singular arrangements.
     """
     try:
         best = fit_similarity(template, current)
@@ -140,17 +138,17 @@ class Similarities:
     exist: BoolArray
 
     def __call__(self, points: ComplexArray, group: IntArray) -> ComplexArray:
-        """Images (N,) of points (N,), each by the similarity of its group (N,)."""
+        """Return images (N,) of points (N,), each by the similarity of its group (N,)."""
         return np.asarray(self.factors[group] * (points - self.sources[group]) + self.targets[group])
 
 
 def fit_similarities(
     template: ComplexArray, current: ComplexArray, *, group: IntArray, groups: int
 ) -> Similarities:
-    """The similarities of many groups of points at once, each as `fit_similarity` has it.
+    """Fit the similarities of many groups of points at once, each as in `fit_similarity`.
 
-    One fit for all units' sets, or for all reports, costs a few array operations, however many there are. A
-    group that `fit_similarity` would refuse with an error is marked in `exist`.
+    The cost is a few array operations for any number of groups. `exist` marks groups that `fit_similarity`
+    would reject with an error.
 
     Args:
         template: (N,) template points of all groups.
@@ -170,6 +168,7 @@ def fit_similarities(
         np.maximum.at(most, group, np.abs(points))
         return most
 
+    check_vectors("fit_similarities", template=template, current=current, group=group)
     sizes = np.bincount(group, minlength=groups)
     counts = np.maximum(sizes, 1)
     sources, targets = complex_total(template) / counts, complex_total(current) / counts
@@ -185,7 +184,7 @@ def fit_similarities(
 
 
 def desired_points(template: ComplexArray, current: ComplexArray) -> ComplexArray:
-    """Desired image points `p^d = H_s p'_c + c_p` (N,) of the robots (paper, Algorithm 1).
+    """Return the desired image points `p^d = H_s p'_c + c_p` (N,) of the robots (paper, Algorithm 1).
 
     Args:
         template: (N,) template points p' of the robots that the unit controls.

@@ -1,12 +1,12 @@
-"""The size of the shape, in marker sides: free above a smallest spacing, or given.
+"""Size of the shape, in marker sides: free above a minimum spacing, or given.
 
-In the paper any size will do. Robots with bodies need a floor, which keeps the scale of the fitted similarity
-above a bound (`Similarity.resized`). The fit stays a least-squares fit, and V a cost that falls;
-docs/bodies.md has the proof of convergence with an active floor.
+In the paper the size is free. Robots with bodies need a minimum size, which bounds the scale of the fitted
+similarity from below (`Similarity.resized`). The fit remains a least-squares fit, and the Lyapunov function V
+still decreases. docs/bodies.md has the proof of convergence with an active bound.
 
-Units must mean the same length by a marker side: otherwise each would hold the robots that two units share at
-a distance of its own. Each unit therefore averages its own measurement with those that its neighbours report,
-converted to its own pixels by the robots that both see.
+Units need a common marker side. Otherwise each would hold the robots that two units share at a different
+distance. Each unit therefore averages its own measurement with those of its neighbours. These are converted
+to its own pixels by means of the robots that both see.
 """
 
 from collections.abc import Sequence
@@ -20,9 +20,8 @@ from skyherd.messages import Detections, UnitReport
 from skyherd.messages.checks import check_numbers
 
 LEAK = 0.05
-"""Weight of a unit's own measurement in each step of the average. Chosen: without it nothing holds the common
-mean, which would drift by rounding and noise; at twice the value, units that measure differently agree half
-as well, since their remaining difference is in proportion to it."""
+"""Weight of a unit's own measurement in each step of the average. Chosen: without it the common mean drifts
+by rounding and noise; twice the value doubles the remaining disagreement of units."""
 
 
 @dataclass(frozen=True)
@@ -42,15 +41,15 @@ class SizeRule:
 
     @property
     def is_free(self) -> bool:
-        """Whether any size will do, as in the paper."""
+        """True if any size is allowed, as in the paper."""
         return self.min_sides == 0 and self.max_sides == np.inf
 
     def scales(self, template: Template, side_px: float) -> tuple[float, float]:
-        """Least and greatest scale of the similarity, image pixels for a template pixel.
+        """Return the minimum and maximum scale of the similarity, image pixels per template pixel.
 
         Args:
             template: the shape.
-            side_px: side of a marker in the image; where it is 0, as not known, there are no bounds.
+            side_px: side of a marker in the image; 0, if unknown, gives no bounds.
         """
         if self.is_free or not side_px:
             return 0.0, np.inf
@@ -60,25 +59,25 @@ class SizeRule:
 
 @dataclass
 class SideConsensus:
-    """One unit's estimate of a marker's side in its image, by consensus with its neighbours.
+    """Estimate of one unit of a marker's side in its image, by consensus with its neighbours.
 
-    Let m be the logarithm of the geometric mean of the sides in view and s_k the logarithm of what neighbour
-    k reports, converted to the unit's own pixels. The estimate s follows
+    Let m be the logarithm of the geometric mean of the sides in view. Let s_k be the logarithm of the side
+    that neighbour k reports, converted to the unit's own pixels. The estimate s follows
 
         s ← m + (1 - LEAK) (mean{s, s_k} - m).
 
     Attributes:
-        excess: s - m, the logarithm of the factor by which the consensus differs from the measurement.
+        excess: s - m, the logarithm of the ratio of consensus to measurement.
     """
 
     excess: float = 0.0
 
     def update(self, seen: Detections, reports: Sequence[UnitReport]) -> float:
-        """The side of a marker in this image, px; 0 while no marker is seen.
+        """Update and return the side of a marker in this image, px; 0 while no marker is visible.
 
         Args:
             seen: detections in the unit's own image.
-            reports: the newest reports of other units; those that report no side are left out.
+            reports: the newest reports of other units; reports without a side are ignored.
         """
         if not len(seen):
             return 0.0
@@ -91,10 +90,10 @@ class SideConsensus:
 
 
 def _log_side_here(seen: Detections, report: UnitReport) -> float:
-    """Logarithm of the side that a neighbour reports, in the unit's own pixels.
+    """Return the logarithm of the side that a neighbour reports, in the unit's own pixels.
 
-    The scale from its image to the own one is the ratio of the RMS distances from the centroid of the robots
-    that both see; NaN if these are fewer than two.
+    The scale between the two images is the ratio of the RMS distances of the common robots from their
+    centroid. The result is NaN with fewer than two common robots.
     """
     _, here, there = np.intersect1d(seen.ids, report.ids, assume_unique=True, return_indices=True)
     if here.size < 2:

@@ -1,4 +1,4 @@
-"""The template image: the shape to form, as one image point for each robot (paper, Section III)."""
+"""Template image: the shape to form, as one image point for each robot (paper, Section III)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,16 +14,16 @@ from skyherd.messages import rows_of
 from skyherd.messages.checks import check_ids, shown
 
 MAX_PX = 1e9
-"""Largest coordinate of a template's point. Chosen: beyond any picture and any map in metres; no square of it
-overflows."""
+"""Maximum coordinate of a template's point. Chosen: beyond any image and any map in metres, and far below
+overflow of its square."""
 
 
 @dataclass(frozen=True)
 class Template:
-    """The shape to form: p' of the paper, one point for each robot. Ids may be given in any order.
+    """Shape to form: p' of the paper, one point for each robot; ids may be given in any order.
 
-    The template is an image as well: its points have u right and v down, so that the similarities between it
-    and a camera's image are proper, without reflection. Only the shape counts, not its place, rotation or
+    The template is an image as well: its points have u right and v down. Similarities between it and a
+    camera's image are therefore proper, without reflection. Only the shape matters, not position, rotation or
     scale.
 
     Attributes:
@@ -31,8 +31,8 @@ class Template:
         points_px: (N,) their points in the template image as `u + iv`, in the order of `ids`.
 
     Raises:
-        InputError: the numbers of ids and points differ, there are fewer than two, an id is repeated,
-            negative or no whole number, or a point is not finite.
+        InputError: the numbers of ids and points differ, or are below two. An id is repeated, negative or not
+            an integer, or a point is not finite.
         DegenerateSetError: all points coincide.
     """
 
@@ -68,12 +68,12 @@ class Template:
 
     @classmethod
     def from_image_points(cls, ids: npt.ArrayLike, points_px: npt.ArrayLike) -> "Template":
-        """A template of the points (N, 2) of an image: u right, v down."""
+        """Return a template of the points (N, 2) of an image: u right, v down."""
         return cls(check_ids(ids, "template"), _complex_points(points_px))
 
     @classmethod
     def from_ground_points(cls, ids: npt.ArrayLike, points: npt.ArrayLike) -> "Template":
-        """A template of the points (N, 2) of a map: x right, y up. The sense of y is reversed."""
+        """Return a template of the points (N, 2) of a map: x right, y up; the sense of y is reversed."""
         return cls(check_ids(ids, "template"), _complex_points(points).conj())
 
     @cached_property
@@ -83,11 +83,11 @@ class Template:
 
     @cached_property
     def members(self) -> frozenset[int]:
-        """The ids of the robots as a set."""
+        """Ids of the robots as a set."""
         return frozenset(self.ids.tolist())
 
     def points_of(self, ids: IntArray) -> ComplexArray:
-        """Points (M,) of the robots `ids` (M,).
+        """Return points (M,) of the robots `ids` (M,).
 
         Raises:
             MessageError: a robot is not in the template.
@@ -96,10 +96,10 @@ class Template:
 
 
 def _complex_points(points: npt.ArrayLike) -> ComplexArray:
-    """Points (N, 2) as complex numbers (N,).
+    """Return points (N, 2) as complex numbers (N,).
 
     Raises:
-        InputError: they are no list of pairs of numbers.
+        InputError: they are not a list of pairs of numbers.
     """
     try:
         pairs = np.asarray(points, dtype=float)

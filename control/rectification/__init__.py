@@ -1,1 +1,1 @@
-"""Self-rectification: what a camera's pixels, lens and tilt do to the markers is estimated and removed."""
+"""Self-rectification: estimation and removal of the effects of pixels, lens and tilt on the markers."""

@@ -1,9 +1,10 @@
-"""The map to the ground fitted to the squares of one image, given what was learned of the camera before.
+"""Fit of the map to the ground to the squares of one image, given prior information on the camera.
 
-Robust least squares by Gauss-Newton steps. The data of a square are its side, relative to one common side
-that is not known, and the two components of its squeeze. Sides and squeezes have a noise each, estimated from
-the residuals of the fit of all unknowns, since markers that differ in size or height spoil the sides alone.
-Unknowns that explain nothing are held at zero (`skyherd.control.rectification.information`).
+The method is robust least squares by Gauss-Newton steps. The data of a square are its side, relative to an
+unknown common side, and the two components of its anisotropy. Sides and anisotropies have separate noise
+levels. Both are estimated from the residuals of the fit of all unknowns, since markers of different size or
+height affect the sides alone. Outliers are down-weighted (an M-estimator). Insignificant unknowns are held at
+zero (`skyherd.control.rectification.information`).
 """
 
 from collections.abc import Collection
@@ -12,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.control.rectification.ground_map import (
+    ANISOTROPY,
     CAMERA,
     CENTER,
     FOCAL,
-    HORIZON,
     LENS,
-    SQUEEZE,
+    PERSPECTIVE,
     UNKNOWNS,
     GroundMap,
     local_maps,
@@ -27,13 +28,12 @@ from skyherd.control.rectification.square_shapes import Squares
 from skyherd.geometry import Array
 
 PRIOR: Array = np.array([0.1, 0.1, 0.2, 0.03, 0.03, 0.15, 0.15, 1.0, 0.2, 0.2])
-"""Standard deviations (10,) of the unknowns over all cameras, in their order in `ground_map`. Chosen:
-wide enough for fisheyes, and for tilts of 16 degrees at the usual focal length (|λ| = tan(tilt) / f); `LIMIT`
-says how far beyond a fit is refused."""
+"""Standard deviations (10,) of the unknowns over all cameras, in the order of `ground_map`. Chosen: they
+include fisheyes, and tilts of 16 degrees at the usual focal length (|λ| = tan(tilt) / f)."""
 
 GROUPS = {
-    "squeeze": SQUEEZE,
-    "tilt": [*HORIZON, *FOCAL],
+    "anisotropy": ANISOTROPY,
+    "tilt": [*PERSPECTIVE, *FOCAL],
     "lens": LENS[:1],
     "second lens": LENS[1:2],
     "third lens": LENS[2:],
@@ -42,48 +42,45 @@ GROUPS = {
 """Unknowns that are freed together, by name."""
 
 AFTER = {"second lens": "lens", "third lens": "second lens", "center": "lens"}
-"""By name of a group, the group that must be free before: further coefficients, and a centre, mean something
-for a lens only."""
+"""Prerequisite group by name of a group: further lens coefficients and a centre require a lens."""
 
 SIGNIFICANT = 20.0
-"""Fall of the chi-squared that a group of unknowns must bring to be freed. Derived: noise alone brings it to
-a group of two unknowns once in 20 000 fits (e^{-20 / 2} = 4.5e-5)."""
+"""Minimum decrease of the chi-squared that frees a group of unknowns. Derived: noise alone reaches it for two
+unknowns once in 20 000 fits (e^{-20 / 2} = 4.5e-5)."""
 
 OUTLIER = 3.0
-"""Squares whose residual d exceeds so many standard deviations weigh less, in proportion to 1 / d². Chosen:
-of squares with Gaussian residuals one in 170 000 does (chi-squared of three, over 27), so that the others
-keep their full weight."""
+"""Outlier threshold of a residual d, standard deviations; outliers are weighted by 1 / d². Chosen: one in 170
+000 Gaussian residuals exceeds it (chi-squared of three, over 27)."""
 
 ROUNDS, SETTLED = 5, 3e-4
-"""Gauss-Newton steps end once no prediction moves by more than `SETTLED`, or after `ROUNDS` steps. Derived:
-the error left is about the square of a step, 1e-7, which no detector measures."""
+"""Maximum number of Gauss-Newton steps, and change of a prediction that ends them. Derived: the remaining
+error is about the square of a step, 1e-7, below any detector's accuracy."""
 
 DIFFERENCE = 1e-6
 """Step of the numerical derivatives. Chosen: the error of a forward difference is about the step itself, and
 rounding adds 1e-16 / 1e-6 = 1e-10."""
 
 STEPS: Array = np.concatenate([np.zeros((1, UNKNOWNS)), DIFFERENCE * np.eye(UNKNOWNS)])
-"""(11, 10) steps for numerical derivatives: no step, and one of each unknown."""
+"""Steps (11, 10) for numerical derivatives: no step, and one of each unknown."""
 
 LIMIT = 5.0
-"""Greatest value of an unknown, in standard deviations of `PRIOR`. Chosen: no camera is farther off; a fit
-beyond is of squares that are none."""
+"""Gating threshold of the fit: maximum of an unknown, in standard deviations of `PRIOR`. Chosen: beyond any
+camera; a fit outside the gate is of invalid squares and is rejected."""
 
 MIN_VARIANCE_FACTOR = 1e-8
-"""Lower limit of the factor on variances that no detector reports. Chosen: corners of 1e-5 px, exact for all
-purposes; it avoids a division by zero for data without noise."""
+"""Minimum variance factor without reported covariances. Chosen: corners of 1e-5 px; it avoids a division by
+zero for data without noise."""
 
 MIN_DEVIATION = 1e-12
-"""Residuals are divided by at least so many standard deviations. Chosen: it only avoids a division by
-zero."""
+"""Minimum divisor for residuals, standard deviations. Chosen: it only avoids a division by zero."""
 
-SIDES, SQUEEZES = 0, 1
-"""Rows of the two kinds of data: logarithms of sides, and squeezes."""
+SIDES, ANISOTROPIES = 0, 1
+"""Rows of the two kinds of data: logarithms of sides, and anisotropies."""
 
 
 @dataclass(frozen=True)
 class NoiseStatistics:
-    """What residuals say of the noise of the data, by kind: row `SIDES`, row `SQUEEZES`.
+    """Residual statistics of the noise of the data, by kind: row `SIDES`, row `ANISOTROPIES`.
 
     Attributes:
         squares: (2,) sums of squared residuals over their variances.
@@ -94,23 +91,23 @@ class NoiseStatistics:
     freedoms: Array
 
     def variance_factors(self, *, reported: bool) -> Array:
-        """Factors (2,) by which the true variances exceed the assumed ones.
+        """Return the ratios (2,) of estimated to assumed variances.
 
-        They are at least 1 where the detector reported covariances, which then is the least noise there is.
+        They are at least 1 if the detector reported covariances, which are then the minimum noise.
         """
         return np.maximum(self.squares / self.freedoms, 1.0 if reported else MIN_VARIANCE_FACTOR)
 
     def accumulated(self, other: "NoiseStatistics", memory: float = 1.0) -> "NoiseStatistics":
-        """These statistics, weighted by `memory`, together with those of another image."""
+        """Return these statistics, weighted by `memory`, plus those of another image."""
         return NoiseStatistics(memory * self.squares + other.squares, memory * self.freedoms + other.freedoms)
 
 
 @dataclass(frozen=True)
 class GroundFit:
-    """The result of a fit to one image.
+    """Result of a fit to one image.
 
     Attributes:
-        ground_map: the map, with the camera's former information taken into account.
+        ground_map: the map, including the prior information on the camera.
         significant: indices of the unknowns that the data support.
         image: information on all unknowns from this image alone.
         noises: statistics of the residuals of this image alone.
@@ -124,13 +121,13 @@ class GroundFit:
 
 @dataclass(frozen=True)
 class _Linearization:
-    """The data of N squares less what the unknowns predict, to first order.
+    """Data of N squares minus the predictions of the unknowns, to first order.
 
-    Sides and squeezes are rows of M = 2 N numbers each: a squeeze has two, a side one and a zero.
+    Sides and anisotropies are rows of M = 2 N numbers each: an anisotropy has two, a side one and a zero.
 
     Attributes:
         at: (10,) values of the unknowns.
-        residuals: (2, M) data less predictions.
+        residuals: (2, M) data minus predictions.
         jacobian: (2, M, 10) derivatives of the predictions.
         weights: (M,) inverse variances, lowered for outliers.
     """
@@ -142,18 +139,21 @@ class _Linearization:
 
     @classmethod
     def of(cls, squares: Squares, unknowns: Array, robust: Array) -> "_Linearization":
-        """At given unknowns (10,), with weights (N,) of the squares."""
+        """Linearize at given unknowns (10,), with robust weights (N,) of the squares."""
         maps = local_maps(unknowns + STEPS, squares.points)
         weights = robust / squares.variances
         shares = weights / weights.sum()
-        # The side on the ground is whatever fits best, so that sides count as they differ from their mean.
+        # The common side is unknown: log sides count relative to their weighted mean.
         sides, scales = squares.log_sides, maps.log_scales()
         predicted, seen = np.zeros((2, 1 + UNKNOWNS, 2 * len(squares))), np.zeros((2, 2 * len(squares)))
         predicted[SIDES, :, ::2], seen[SIDES, ::2] = (
             scales - (scales @ shares)[:, None],
             sides - sides @ shares,
         )
-        predicted[SQUEEZES], seen[SQUEEZES] = maps.squeezes().view(float), squares.squeezes.view(float)
+        predicted[ANISOTROPIES], seen[ANISOTROPIES] = (
+            maps.anisotropies().view(float),
+            squares.anisotropies.view(float),
+        )
         jacobian = (predicted[:, 1:] - predicted[:, :1]) / DIFFERENCE
         return cls(
             at=unknowns,
@@ -163,13 +163,13 @@ class _Linearization:
         )
 
     def information(self) -> list[Information]:
-        """Information on the unknowns from sides, and from squeezes, for variance factors of 1."""
+        """Return information on the unknowns from sides and from anisotropies, for variance factors of 1."""
         weighted = self.jacobian.transpose(0, 2, 1) * self.weights
         vectors = weighted @ (self.residuals + self.jacobian @ self.at)[..., None]
         return [Information(*parts) for parts in zip(weighted @ self.jacobian, vectors[..., 0], strict=True)]
 
     def residuals_at(self, unknowns: Array) -> Array:
-        """Residuals (2, M) at other values (10,) of the unknowns."""
+        """Return residuals (2, M) at other values (10,) of the unknowns."""
         return self.residuals - self.jacobian @ (unknowns - self.at)
 
 
@@ -181,14 +181,14 @@ def fit_ground(
     noises: NoiseStatistics,
     trusted: Collection[int],
 ) -> GroundFit | None:
-    """Fit the map to the squares of one image; None where the fit is one that no camera has.
+    """Fit the map to the squares of one image; return None if the result is outside the gate `LIMIT`.
 
     Args:
         squares: of one image, at least one.
         camera: information on the camera's unknowns (8,).
-        start: (10,) values of the unknowns to begin with.
-        noises: statistics of the images before.
-        trusted: indices of the unknowns that may be freed, if they are significant.
+        start: (10,) initial values of the unknowns.
+        noises: statistics of the previous images.
+        trusted: indices of the unknowns that may be freed if they are significant.
     """
     before = camera.joined(Information.prior(PRIOR[CAMERA:]))
     unknowns, robust = start, np.ones(len(squares))
@@ -208,7 +208,7 @@ def fit_ground(
         if np.abs(lines.jacobian @ (unknowns - lines.at)).max() < SETTLED:
             break
         robust = _robust_weights(lines.residuals_at(full), squares.variances, factors)
-    # Of a camera that is not ideal, an unknown that is held at zero may well have another value.
+    # With a real camera an unknown held at zero is still uncertain.
     covariance = everything.estimate().covariance if unknowns.any() else np.zeros((UNKNOWNS, UNKNOWNS))
     return GroundFit(
         ground_map=GroundMap(unknowns, covariance),
@@ -219,16 +219,16 @@ def fit_ground(
 
 
 def _combined(parts: list[Information], factors: Array) -> Information:
-    """Information from sides and squeezes together, by their variance factors (2,)."""
-    return parts[SIDES].scaled(1 / factors[SIDES]) + parts[SQUEEZES].scaled(1 / factors[SQUEEZES])
+    """Return information from sides and anisotropies together, by their variance factors (2,)."""
+    return parts[SIDES].scaled(1 / factors[SIDES]) + parts[ANISOTROPIES].scaled(1 / factors[ANISOTROPIES])
 
 
 def _noise_statistics(
     lines: _Linearization, full: Array, *, parts: list[Information], factors: Array, covariance: Array
 ) -> NoiseStatistics:
-    """Squared residuals at the estimate (10,) with all unknowns free, and their degrees of freedom.
+    """Return squared residuals at the estimate (10,) with all unknowns free, and their degrees of freedom.
 
-    A kind of data with information Λ spends tr(Λ C) degrees of freedom on an estimate with covariance C.
+    A kind of data with information Λ uses tr(Λ C) degrees of freedom for an estimate with covariance C.
     """
     squares = (lines.residuals_at(full) ** 2 * lines.weights).sum(axis=1)
     numbers = np.array([lines.weights.size / 2 - 1, lines.weights.size])
@@ -240,7 +240,7 @@ def _noise_statistics(
 
 
 def _robust_weights(residuals: Array, variances: Array, factors: Array) -> Array:
-    """Weights (N,), at most 1, of squares with residuals (2, M): `(OUTLIER / d)²` for large d."""
+    """Return outlier weights (N,), at most 1, for residuals (2, M): `(OUTLIER / d)²` for large d."""
     squares = (residuals**2).reshape(2, -1, 2).sum(axis=2) / variances
     distance = np.sqrt((squares / factors[:, None]).sum(axis=0) / 3)
     return np.asarray(np.minimum(1.0, OUTLIER / np.maximum(distance, MIN_DEVIATION)) ** 2)

@@ -2,18 +2,18 @@
 
 Image points p = u + iv are relative to the image centre, in halves of the image's shorter side. Then
 
-    r = (p - c - α conj(p - c)) / (1 - |α|²)          pixels: aspect and skew squeeze the image by α,
+    r = (p - c - α conj(p - c)) / (1 - |α|²)          pixels: anisotropy α from aspect and skew,
     s = r / (1 + κ₁ |r|² + κ₂ |r|⁴ + κ₃ |r|⁶)          lens: radially symmetric about the centre c,
     q = (s + (f λ / (1 + S))² s̄) / (1 - Re(λ̄ s))      tilt: the ground's horizon is Re(λ̄ s) = 1,
 
-where S² = 1 + f² |λ|², S being the factor by which the tilt foreshortens along λ. The focal length f enters
-there alone, in the second order of the tilt. The lens is the division model (Fitzgibbon 2001) with two more
-coefficients: one follows any lens to a hundredth, three follow fisheyes of 120 degrees to 3e-5, and also
-Brown's polynomial as long as it is not about to fold. Finally q is rotated, scaled and shifted until
-`q(0) = 0`, `∂q/∂p(0) > 0` and the circle |p| = 1 keeps its mean radius.
+where S² = 1 + f² |λ|², and S is the foreshortening by the tilt along λ. The focal length f occurs only there,
+in the second order of the tilt. The lens is the division model (Fitzgibbon 2001) with two more coefficients.
+One coefficient approximates any lens to 1e-2. Three approximate fisheyes of 120 degrees to 3e-5, and Brown's
+polynomial unless it is close to folding. Finally q is rotated, scaled and shifted until `q(0) = 0`, `∂q/∂p(0)
+> 0` and the circle |p| = 1 keeps its mean radius.
 
-A marker is a square on the ground. Where `dq = a dp + b dp̄`, its image has the relative squeeze `ε = -b / a`,
-and its side is in proportion to `(|a|² - |b|²)^(-1/2)`. docs/rectification.md derives all this.
+A marker is a square on the ground. With `dq = a dp + b dp̄`, its image has the relative anisotropy `ε = -b /
+a`. Its side is proportional to `(|a|² - |b|²)^(-1/2)`. docs/rectification.md has the derivation.
 """
 
 from dataclasses import dataclass, field
@@ -23,25 +23,24 @@ import numpy as np
 from skyherd.geometry import Array, ComplexArray, to_complex, to_points
 from skyherd.messages import centred
 
-SQUEEZE, LENS, CENTER, FOCAL, HORIZON = [0, 1], [2, 3, 4], [5, 6], [7], [8, 9]
+ANISOTROPY, LENS, CENTER, FOCAL, PERSPECTIVE = [0, 1], [2, 3, 4], [5, 6], [7], [8, 9]
 """Indices of the unknowns α, (κ₁, κ₂, κ₃), c, f² / `USUAL_FOCAL`² - 1 and λ among all ten; a complex unknown
 has two, real part and imaginary part."""
 
 CAMERA, UNKNOWNS = 8, 10
-"""Number of unknowns that belong to the camera, which come first, and number of all; the others, the tilt's,
-belong to one image."""
+"""Number of unknowns of the camera, which come first, and of all; the last two are the tilt of one image."""
 
 USUAL_FOCAL = 1.4
-"""Focal length that is assumed where the data do not support another, in halves of the image's shorter side.
-Chosen: a view of 71 degrees, 2 atan(1 / 1.4), across the shorter side."""
+"""Assumed focal length without support from the data, in halves of the image's shorter side. Chosen: a view
+of 71 degrees, 2 atan(1 / 1.4), across the shorter side."""
 
 MIN_FACTOR = 0.05
-"""Lower limit of the denominators of lens and tilt. Chosen: image points beyond it lie at the horizon, or
-where no lens has an image; it keeps the map finite there."""
+"""Minimum of the denominators of lens and tilt. Chosen: points beyond it lie at the horizon or outside the
+lens; it keeps the map finite there."""
 
 NEWTON_STEPS = 10
-"""Steps by which `GroundMap.image_px` inverts the map. Chosen: they converge quadratically once near, and a
-step is limited to a quarter of the image's shorter side before that."""
+"""Newton steps of `GroundMap.image_px`. Chosen: they converge quadratically near the solution; before that a
+step is limited to a quarter of the image's shorter side."""
 
 _FIXED: ComplexArray = np.array([0, 1, 1j, -1, -1j], dtype=complex)
 """Points that fix rotation, scale and origin of the map: the image centre, and four of the circle |p| = 1."""
@@ -49,30 +48,30 @@ _FIXED: ComplexArray = np.array([0, 1, 1j, -1, -1j], dtype=complex)
 
 @dataclass(frozen=True)
 class LocalMaps:
-    """The map to first order at N points: `q + a dp + b dp̄`, with Wirtinger derivatives, arrays (..., N).
+    """First-order map at N points: `q + a dp + b dp̄`, with Wirtinger derivatives, arrays (..., N).
 
     Attributes:
         values: q, the points on the ground.
         derivatives: a = ∂q/∂p.
-        conjugate_derivatives: b = ∂q/∂p̄; zero where the map is a similarity locally.
+        conjugate_derivatives: b = ∂q/∂p̄; zero where the map is a local similarity.
     """
 
     values: ComplexArray
     derivatives: ComplexArray
     conjugate_derivatives: ComplexArray
 
-    def squeezes(self) -> ComplexArray:
-        """Relative squeezes ε = -b / a (..., N) of the images of squares on the ground."""
+    def anisotropies(self) -> ComplexArray:
+        """Return relative anisotropies ε = -b / a (..., N) of the images of squares on the ground."""
         return np.asarray(-self.conjugate_derivatives / self.derivatives)
 
     def log_scales(self) -> Array:
-        """Natural logarithms (..., N) of image length over ground length, as of the roots of areas."""
+        """Return natural logarithms (..., N) of image length over ground length, from the roots of areas."""
         areas = np.abs(self.derivatives) ** 2 - np.abs(self.conjugate_derivatives) ** 2
         return np.asarray(-np.log(np.maximum(areas, MIN_FACTOR**4)) / 2)
 
 
 def local_maps(unknowns: Array, points: ComplexArray) -> LocalMaps:
-    """The map and its derivatives for unknowns (..., 10) at image points (N,); arrays (..., N)."""
+    """Return the map and its derivatives for unknowns (..., 10) at image points (N,); arrays (..., N)."""
     raw = _raw_maps(unknowns[..., None, :], np.concatenate([_FIXED, points]))
     origin, derivative = raw.values[..., :1], raw.derivatives[..., :1]
     radius = np.abs((raw.values[..., 1:5] - origin) / derivative).mean(axis=-1, keepdims=True)
@@ -85,35 +84,35 @@ def local_maps(unknowns: Array, points: ComplexArray) -> LocalMaps:
 
 
 def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
-    """The map as in `local_maps`, before rotation, scale and origin are fixed."""
+    """Return the map as in `local_maps`, before rotation, scale and origin are fixed."""
     a = unknowns[..., 0] + 1j * unknowns[..., 1]
     k1, k2, k3 = unknowns[..., 2], unknowns[..., 3], unknowns[..., 4]
     h = unknowns[..., 8] + 1j * unknowns[..., 9]
     away = p - (unknowns[..., 5] + 1j * unknowns[..., 6])
     square = 1 / (1 - np.abs(a) ** 2)
-    # Wirtinger derivatives, `d· = (first) dp + (second) dp̄`, from step to step.
+    # Chain rule of the Wirtinger derivatives, `d· = (first) dp + (second) dp̄`.
     r, r_p, r_c = (away - a * away.conj()) * square, square, -a * square
     rho = r.real**2 + r.imag**2
     bend = np.maximum(1 + rho * (k1 + rho * (k2 + rho * k3)), MIN_FACTOR)
     growth = (k1 + rho * (2 * k2 + 3 * rho * k3)) / bend**2
     s, s_r, s_rc = r / bend, 1 / bend - rho * growth, -r * r * growth
     s_p, s_c = s_r * r_p + s_rc * np.conj(r_c), s_r * r_c + s_rc * np.conj(r_p)
-    # Below a half f² falls exponentially, so that it stays positive and never loses its slope.
+    # Below 1/2, f² is continued by an exponential: it stays positive with a nonzero slope.
     square_focal = np.maximum(1 + unknowns[..., 7], np.exp(np.minimum(2 * unknowns[..., 7] + 1, 0)) / 2)
     focal = USUAL_FOCAL * np.sqrt(square_focal)
-    lean = (focal * h / (1 + np.sqrt(1 + (focal * np.abs(h)) ** 2))) ** 2
+    foreshortening = (focal * h / (1 + np.sqrt(1 + (focal * np.abs(h)) ** 2))) ** 2
     w = np.maximum(1 - (np.conj(h) * s).real, MIN_FACTOR)
-    q = (s + lean * s.conj()) / w
-    q_s, q_sc = (1 + q * np.conj(h) / 2) / w, (lean + q * h / 2) / w
+    q = (s + foreshortening * s.conj()) / w
+    q_s, q_sc = (1 + q * np.conj(h) / 2) / w, (foreshortening + q * h / 2) / w
     return LocalMaps(q, q_s * s_p + q_sc * np.conj(s_c), q_s * s_c + q_sc * np.conj(s_p))
 
 
 @dataclass(frozen=True)
 class GroundMap:
-    """The map of one image to the ground; by default the identity.
+    """Map of one image to the ground; by default the identity.
 
     Attributes:
-        unknowns: (10,) values in the order of `SQUEEZE`, `LENS`, `CENTER`, `FOCAL` and `HORIZON`.
+        unknowns: (10,) values in the order of `ANISOTROPY`, `LENS`, `CENTER`, `FOCAL` and `PERSPECTIVE`.
         covariance: (10, 10) their covariance.
     """
 
@@ -122,11 +121,11 @@ class GroundMap:
 
     @property
     def ideal(self) -> bool:
-        """Whether it is the identity: the camera has square pixels and no lens, and looks straight down."""
+        """True if it is the identity: square pixels, no lens distortion and no tilt."""
         return not self.unknowns.any()
 
     def rectified_px(self, points_px: Array, image_size_px: Array) -> Array:
-        """Points (N, 2), px, where an ideal camera would have the image points (N, 2), px.
+        """Return the points (N, 2), px, of an ideal camera for image points (N, 2), px.
 
         Args:
             points_px: (N, 2) points of the real image.
@@ -136,7 +135,7 @@ class GroundMap:
         return _pixels(maps.values, image_size_px)
 
     def image_px(self, points_px: Array, image_size_px: Array) -> Array:
-        """Points (N, 2), px, of the real image: the inverse of `rectified_px`, by Newton's method."""
+        """Return points (N, 2), px, of the real image: the inverse of `rectified_px`, by Newton's method."""
         target = to_complex(centred(points_px, image_size_px))
         points = target
         for _ in range(NEWTON_STEPS):
@@ -149,5 +148,5 @@ class GroundMap:
 
 
 def _pixels(points: ComplexArray, image_size_px: Array) -> Array:
-    """Pixels (N, 2) of complex points (N,) from the image centre: the inverse of `centred`."""
+    """Return pixels (N, 2) of complex points (N,) from the image centre: the inverse of `centred`."""
     return np.asarray(to_points(points) * image_size_px.min() / 2 + (image_size_px - 1) / 2)

@@ -1,18 +1,18 @@
-"""Self-rectification: detections as an ideal camera that looks straight down would have given them.
+"""Self-rectification: detections as from an ideal camera that looks straight down.
 
-The method needs images that are similar to the ground; a real camera has oblong pixels, a lens and a tilt.
-The markers are squares of one size: how each is squeezed in the image, and how large it is beside the others,
-determines the map to the ground up to a similarity (`skyherd.control.rectification.ground_map`), without any
-calibration. The map is applied to the detections before the controller sees them:
+The method needs images that are similar to the ground. A real camera has oblong pixels, lens distortion and
+tilt. The markers are squares of one size. Their anisotropies and relative sizes in the image determine the
+map to the ground up to a similarity, without any calibration (`skyherd.control.rectification.ground_map`).
+The map is applied to the detections before the controller uses them:
 
-- information on the camera (pixels, lens, centre, focal length) accumulates from image to image. A common
-  change of the markers' size may be a zoom, after which the unknowns that depend on it are less certain;
+- information on the camera (pixels, lens, centre, focal length) accumulates over the images. A common change
+  of the markers' size may be a zoom, which makes the dependent unknowns less certain;
 - the tilt is estimated from each image alone.
 
-An unknown is freed only where it explains what cannot be noise (`skyherd.control.rectification.information`),
-so that the detections of an ideal camera pass unchanged, to the bit. Only corners are used, so that any
-detector will do: squeezes of single markers are as good as the common plane of the photometric detector,
-which knows no lens. docs/rectification.md has the law and measurements.
+An unknown is freed only if its effect is significant (`skyherd.control.rectification.information`).
+Detections of an ideal camera therefore pass unchanged, bit by bit. Only corners are used, so that any
+detector is sufficient. Anisotropies of single markers are as accurate as the common plane of the photometric
+detector, which has no lens model. docs/rectification.md has the law and measurements.
 """
 
 from dataclasses import dataclass, field, replace
@@ -40,50 +40,47 @@ from skyherd.control.rectification.information import Information
 from skyherd.control.rectification.square_shapes import Squares, log_sides
 from skyherd.geometry import Array, ComplexArray, fit_squares, to_complex, to_points
 from skyherd.messages import Detections, centred
+from skyherd.messages.checks import check_kind
 
 MIN_MARKERS = 3
-"""An image with fewer markers does not change what is known of the camera; and before an image with so many
-was seen, detections pass unchanged. Chosen: three squares are nine numbers for ten unknowns and a common
-side."""
+"""Minimum number of markers of an image that updates the camera, and of the first rectified image. Chosen:
+three squares are nine numbers for ten unknowns and a common side."""
 
 MIN_SPREAD = 1e-9
-"""Lower limit of the sum of squared distances between centres and their mean, px². Chosen: far below that of
-two centres a pixel apart; it avoids a division by zero for a single marker."""
+"""Minimum sum of squared distances between centres and their mean, px². Chosen: far below two centres a pixel
+apart; it avoids a division by zero for a single marker."""
 
 FRESH_SIDES = 0.02
-"""A marker that moved by less than this since the last image, in its sides, counts in proportion to its
-motion. Chosen: a marker that stands still in the image repeats its errors, and adds no information."""
+"""Motion since the last image, in marker sides, below which a marker's weight is proportional to it. Chosen:
+a static marker repeats its errors and adds no information."""
 
 CAMERA_MEMORY = 50.0
-"""Number of images after which information on the camera has faded to 1 / e. Chosen: a trade-off between
-noise and cameras that change slowly."""
+"""Number of images after which information on the camera has decayed to 1 / e. Chosen: a trade-off between
+noise and slowly changing cameras."""
 
 NOISE_MEMORY, NOISE_NUMBERS = 0.98, 10.0
-"""Share of the noise statistics that is kept from image to image, which is a memory of 50 images; and the
-degrees of freedom that the detector's covariances count as before the first image. Chosen, as the camera's
-memory."""
+"""Decay factor of the noise statistics per image, a memory of 50 images, and prior degrees of freedom of the
+detector's covariances. Chosen: like the camera's memory."""
 
 ZOOM_DEVIATIONS = 4.0
 """Common change of the markers' sizes that counts as a zoom, in standard deviations. Chosen: noise alone
 reaches it once in 16 000 images."""
 
 ZOOM_BENDS = 4.0
-"""Change of the lens' coefficients, in prior standard deviations, for a change of the focal length by a
-factor of e, since a zoom lens bends differently at each focal length. Chosen larger than any lens has: in a
-ramp the changes of single steps have one sign, while the model adds them as if they were independent."""
+"""Change of the lens coefficients, prior standard deviations, per e-fold change of focal length. Chosen:
+above any lens, as the errors of the steps of a ramp are correlated but added as independent."""
 
 
 @dataclass
 class Rectifier:
-    """Rectifies one unit's detections, and estimates its camera from them.
+    """Rectifier of one unit's detections, which estimates the unit's camera from them.
 
-    It is to be called once for each image, in order. It keeps the camera's state; a unit that is replaced
-    begins with a new one.
+    Call it once for each image, in order. It keeps the camera's state. A replaced unit starts with a new one.
 
     Attributes:
         ground_map: map of the last image; the identity before the first.
         camera: information on the camera's unknowns (8,), without the prior.
-        noises: statistics of how much the markers err, relative to their covariances.
+        noises: statistics of the markers' errors, relative to their covariances.
     """
 
     ground_map: GroundMap = field(default_factory=GroundMap)
@@ -96,10 +93,10 @@ class Rectifier:
     _log_sides: Array = field(default_factory=lambda: np.zeros(0))
 
     def rectify(self, seen: Detections) -> Detections:
-        """The detections as an ideal camera would have given them; the camera's estimate is updated.
+        """Return the detections as from an ideal camera, and update the camera's estimate.
 
-        The very object `seen` is returned where nothing is to be changed: for an ideal camera, for too few
-        markers at the start, and where no camera fits what is seen.
+        The very object `seen` is returned for an ideal camera, for too few markers at the start, and if the
+        fit is rejected.
         """
         few = len(seen) < MIN_MARKERS
         if not len(seen) or (few and self._previous is None):
@@ -117,7 +114,7 @@ class Rectifier:
         self.ground_map = GroundMap() if fit is None else fit.ground_map
         if fit is None:
             return seen
-        # An image may be misread: after the first, an unknown must be significant in two images running.
+        # One image may be an outlier: after the first, an unknown must be significant in two images in a row.
         self._trusted = fit.significant
         if not few:
             fresh = self._fresh(squares)
@@ -128,16 +125,16 @@ class Rectifier:
         return rectified(seen, fit.ground_map)
 
     def _ground_log_sides(self, squares: Squares) -> Array:
-        """Natural logarithms (N,) of the sides on the ground, by the last map."""
+        """Return natural logarithms (N,) of the sides on the ground, by the last map."""
         if self.ground_map.ideal:
             return squares.log_sides
         return squares.log_sides - local_maps(self.ground_map.unknowns, squares.points).log_scales()
 
     def _after_zoom(self, squares: Squares, camera: Information) -> Information:
-        """Information on the camera (8,), less certain where the focal length has changed.
+        """Return information on the camera (8,), less certain if the focal length has changed.
 
-        A zoom by the factor e^g makes all sides grow by it. To first order f² changes by 2 g f² and, if the
-        lens bends rays alike at all focal lengths, κ_n by 2 n g κ_n, as `κ_n ~ f^(-2n)`.
+        A zoom by the factor e^g scales all sides by it. To first order f² changes by 2 g f². If the lens
+        bends rays alike at all focal lengths, κ_n changes by 2 n g κ_n, as `κ_n ~ f^(-2n)`.
         """
         if self._previous is None:
             return camera
@@ -157,7 +154,7 @@ class Rectifier:
         return camera.diffused(changes**2)
 
     def _fresh(self, squares: Squares) -> float:
-        """Mean over the markers of the share, 0 to 1, by which each has moved enough to add information."""
+        """Return the mean weight, 0 to 1, of the markers by their motion since the last image."""
         if self._previous is None:
             return 1.0
         here, there = squares.match(self._previous)
@@ -168,27 +165,29 @@ class Rectifier:
 
 
 def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
-    """Detections with centres, headings, sides, corners and covariances mapped by `ground_map`.
+    """Return detections with centres, headings, sides, corners and covariances mapped by `ground_map`.
 
-    Corners are mapped; headings and sides are those of the squares that fit the mapped corners best.
+    Corners are mapped. Headings and sides are those of the squares that fit the mapped corners best.
 
-    A detector takes the edges of a marker for straight. Where a lens bends them, it moves a point z of the
-    marker by some `B[z, z]`, and the centre that fits all edges best is off by the mean of that over the
-    edges. That is about half of its mean over the corners, by which the centre of the mapped corners is off
-    in the opposite direction. The rectified centre is therefore half-way between the mapped centre and the
-    centre of the mapped corners; the two coincide where no lens bends.
+    A detector assumes straight marker edges. A lens that bends them moves a point z of the marker by some
+    `B[z, z]`. The centre that fits all edges best is off by the mean of that over the edges. That is about
+    half of its mean over the corners. The centre of the mapped corners is off by the same amount in the
+    opposite direction. The rectified centre is therefore half-way between the mapped centre and the centre of
+    the mapped corners. The two coincide without lens distortion.
 
-    The covariance is the sum of two: that of the detection, mapped by the derivative at the marker; and that
-    of the map, less what is a similarity of all centres, since the ground is known up to one similarity and
-    no goal depends on it.
+    The covariance is the sum of two terms. The first is the covariance of the detection, mapped by the
+    derivative at the marker. The second is the covariance of the map, without its part that is a similarity
+    of all centres: the ground is known up to one similarity, and goals do not depend on it.
     """
+    check_kind("rectified: seen", seen, Detections, "Detections")
+    check_kind("rectified: ground_map", ground_map, GroundMap, "a GroundMap")
     if ground_map.ideal:
         return seen
     size, half = seen.image_size_px, seen.image_size_px.min() / 2
     corners = ground_map.rectified_px(seen.corners_px.reshape(-1, 2), size).reshape(-1, 4, 2)
     before, after = (fit_squares(to_complex(c)) for c in (seen.corners_px, corners))
     maps = local_maps(ground_map.unknowns + STEPS, to_complex(centred(seen.centers_px, size)))
-    by_map = _but_for_similarity(_pose_by_map(maps, half), maps.values[0] * half)
+    by_map = _without_similarity(_pose_by_map(maps, half), maps.values[0] * half)
     by_pose = _pose_by_pose(maps.derivatives[0], maps.conjugate_derivatives[0], seen.headings_rad)
     return replace(
         seen,
@@ -202,20 +201,20 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
 
 
 def _pose_by_map(maps: LocalMaps, half: float) -> Array:
-    """Derivatives (N, 3, 10) of the rectified (u, v, heading), px and rad, by the unknowns.
+    """Return derivatives (N, 3, 10) of the rectified (u, v, heading), px and rad, by the unknowns.
 
-    They are differences between maps, of which the first is at the unknowns, and each other one has one
-    unknown changed by `DIFFERENCE`. A square's heading rotates as the map's derivative does.
+    They are differences between maps. The first map is at the unknowns, and each other one has one unknown
+    changed by `DIFFERENCE`. A square's heading rotates as the map's derivative does.
     """
     pose = np.stack([half * maps.values.real, half * maps.values.imag, np.angle(maps.derivatives)])
     return np.asarray((pose[:, 1:] - pose[:, :1]).transpose(2, 0, 1) / DIFFERENCE)
 
 
-def _but_for_similarity(by_map: Array, centers: ComplexArray) -> Array:
-    """Derivatives (N, 3, 10) of poses less the part that is a similarity of all centres (N,).
+def _without_similarity(by_map: Array, centers: ComplexArray) -> Array:
+    """Return derivatives (N, 3, 10) of poses without the part that is a similarity of all centres (N,).
 
-    That part is `t + a z`, fitted by least squares, z being the centres relative to their mean; its rotation,
-    the imaginary part of a, is taken off the headings.
+    That part is `t + a z`, fitted by least squares, with z the centres relative to their mean. Its rotation,
+    the imaginary part of a, is subtracted from the headings.
     """
     z = centers - centers.mean()
     shifts = by_map[:, 0] + 1j * by_map[:, 1]
@@ -226,9 +225,9 @@ def _but_for_similarity(by_map: Array, centers: ComplexArray) -> Array:
 
 
 def _pose_by_pose(a: ComplexArray, b: ComplexArray, headings_rad: Array) -> Array:
-    """Derivatives (N, 3, 3) of the rectified (u, v, heading) by the one detected.
+    """Return derivatives (N, 3, 3) of the rectified (u, v, heading) by the detected pose.
 
-    With `dq = a dp + b dp̄` a direction e^{iθ} is mapped to `m = a e^{iθ} + b e^{-iθ}`, whose angle changes by
+    With `dq = a dp + b dp̄` a direction e^{iθ} is mapped to `m = a e^{iθ} + b e^{-iθ}`. Its angle changes by
     `(|a|² - |b|²) / |m|²` of dθ.
     """
     by_pose = np.zeros((headings_rad.size, 3, 3))

@@ -1,4 +1,4 @@
-"""The image of a square marker as a measurement of the map to the ground: its size and its squeeze."""
+"""Image of a square marker as a measurement of the map to the ground: its size and its anisotropy."""
 
 from dataclasses import dataclass
 
@@ -8,57 +8,59 @@ from skyherd.geometry import Array, ComplexArray, IntArray, SquareImages, fit_sq
 from skyherd.messages import Detections, centred
 
 TINY = 1e-24
-"""Areas of the images of squares are held above this, in squares of half an image's shorter side. Chosen: the
-area of corners that all lie in one place is 0, and its logarithm does not exist; a marker of one pixel in an
-image of 8192 px has 6e-8."""
+"""Minimum area of a square's image, in squares of half an image's shorter side. Chosen: it keeps the
+logarithm of coincident corners finite; one pixel of an image of 8192 px has 6e-8."""
 
+# Measured on markers of 18 to 40 px: 0.4 to 0.6 for anisotropies, 0.32 to 0.39 for sides.
 HEADING_SHARE = 1 / 2
-"""Variance of each of a square's three numbers (log side, two components of the squeeze) over that of its
-heading. Derived: for four corners with equal and independent errors. Measured of markers of 18 to 40 px that
-were fitted to their pixels: 0.4 to 0.6 for squeezes, 0.32 to 0.39 for sides."""
+"""Variance of each number of a square (log side, two anisotropy components) over that of its heading.
+Derived: for four corners with equal and independent errors."""
 
 UNKNOWN_ERROR_PX = 0.1
-"""Standard deviation of a corner along each axis, px, where a detector reports no covariance. Chosen: a first
-guess, since the noise is estimated from the residuals then."""
+"""Standard deviation of a corner along each axis, px, without a reported covariance. Chosen: an initial
+guess; the noise is estimated from the residuals then."""
 
 
-def relative_squeezes(squares: SquareImages) -> ComplexArray:
-    """Relative squeezes `ε = squeeze / conj(arm)` (N,), which do not depend on how a square is rotated.
+def relative_anisotropies(squares: SquareImages) -> ComplexArray:
+    """Return relative anisotropies `ε = anisotropy / conj(similarity)` (N,), invariant to rotation.
 
-    The image of a square under `q ↦ p(q) = arm q + squeeze q̄` has the aspect ratio (1 + |ε|) / (1 - |ε|).
+    The image of a square under `q ↦ p(q) = similarity q + anisotropy q̄` has the aspect ratio (1 + |ε|) / (1
+    - |ε|).
     """
-    return np.asarray(squares.squeezes * squares.arms / np.maximum(np.abs(squares.arms) ** 2, TINY))
+    return np.asarray(
+        squares.anisotropies * squares.similarities / np.maximum(np.abs(squares.similarities) ** 2, TINY)
+    )
 
 
 def log_sides(squares: SquareImages) -> Array:
-    """Natural logarithms (N,) of the sides of squares that have the same areas as the images."""
-    areas = np.abs(squares.arms) ** 2 - np.abs(squares.squeezes) ** 2
+    """Return natural logarithms (N,) of the sides of squares with the same areas as the images."""
+    areas = np.abs(squares.similarities) ** 2 - np.abs(squares.anisotropies) ** 2
     return np.asarray(np.log(np.maximum(np.abs(areas), TINY)) / 2)
 
 
 @dataclass(frozen=True)
 class Squares:
-    """The images of N markers, in the units of `skyherd.control.rectification.ground_map`.
+    """Images of N markers, in the units of `skyherd.control.rectification.ground_map`.
 
     Attributes:
         ids: (N,) ids of the markers.
         points: (N,) their centres, complex, from the image centre, in halves of the shorter side.
         log_sides: (N,) natural logarithms of their sides.
-        squeezes: (N,) their relative squeezes, complex.
-        variances: (N,) variances of each log side and of each component of a squeeze.
+        anisotropies: (N,) their relative anisotropies, complex.
+        variances: (N,) variances of each log side and of each component of an anisotropy.
         reported: whether the variances come from covariances that the detector reports.
     """
 
     ids: IntArray
     points: ComplexArray
     log_sides: Array
-    squeezes: ComplexArray
+    anisotropies: ComplexArray
     variances: Array
     reported: bool
 
     @classmethod
     def of(cls, seen: Detections) -> "Squares":
-        """The shapes of detected markers, from their corners; any detector will do."""
+        """Return the shapes of detected markers, from their corners; any detector is sufficient."""
         images = fit_squares(to_complex(centred(seen.corners_px, seen.image_size_px)))
         variances = HEADING_SHARE * seen.covariances[:, 2, 2]
         reported = bool((variances > 0).all())
@@ -68,7 +70,7 @@ class Squares:
             ids=seen.ids,
             points=to_complex(centred(seen.centers_px, seen.image_size_px)),
             log_sides=log_sides(images),
-            squeezes=relative_squeezes(images),
+            anisotropies=relative_anisotropies(images),
             variances=variances,
             reported=reported,
         )
@@ -77,6 +79,6 @@ class Squares:
         return int(self.ids.size)
 
     def match(self, others: "Squares") -> tuple[IntArray, IntArray]:
-        """Rows (M,) of the markers that are in both, in these squares and in `others`."""
+        """Return rows (M,) of the common markers, in these squares and in `others`."""
         here, there = np.nonzero(self.ids[:, None] == others.ids)
         return here, there

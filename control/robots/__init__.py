@@ -1,1 +1,1 @@
-"""The robots' side of control: a robot combines the goals that it received and turns them into speeds."""
+"""Robot-side control: fusion of received goals, and the law that turns them into speeds."""

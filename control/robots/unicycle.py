@@ -1,8 +1,8 @@
 """The robots' control law (paper, eq. 7-8), in the paper's pixels or in marker units.
 
-With the paper's gains the scale of the cameras multiplies v but not ω, so that a robot's arcs, and with them
-the final size of the shape, depend on the cameras. With goals in marker sides the scale cancels, and whole
-trajectories are the same under every camera, zoom and height (`MarkerGains`).
+With the paper's gains the camera scale multiplies v but not ω. A robot's arcs, and so the final size of the
+shape, then depend on the cameras. With goals in marker sides the scale cancels. Trajectories are then the
+same under every camera, zoom and height (`MarkerGains`).
 """
 
 from dataclasses import dataclass
@@ -11,63 +11,64 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from skyherd.control.robots.goal_fusion import GoalInboxes, fuse_marker_sides, fuse_pixels
+from skyherd.errors import InputError
 from skyherd.geometry import Array, ComplexArray, wrap_angle
 from skyherd.messages import VelocityCommand
-from skyherd.messages.checks import check_numbers
+from skyherd.messages.checks import check_kind, check_numbers, shown
 
 
 class RobotLaw(Protocol):
-    """How a robot combines the goals that it received into one vector, and how fast it follows that vector.
+    """Interface of a robot's law: it fuses the received goals into a vector and sets the speed along it.
 
-    `PixelGains` and `MarkerGains` are the two that there are. A third one is a frozen dataclass with the four
-    members below; it needs no base class and keeps no state, since the robots' memory is `GoalInboxes`. The
-    functions of this module turn the vector and the speed into (v, ω), within the limits of the wheels; where
-    robots have bodies, `skyherd.control.avoidance.speed_bound` may slow them down after that.
+    `PixelGains` and `MarkerGains` implement it. A further implementation is a frozen dataclass with the four
+    members below. It needs no base class and has no state, since `GoalInboxes` is the robots' memory. The
+    functions of this module turn vector and speed into (v, ω), within the limits of the wheels. For robots
+    with bodies, `skyherd.control.avoidance.speed_bound` may reduce the speeds afterwards.
 
-    The unit of length of the vector is the law's own choice. The one duty is that vector and speed fit
-    together: a robot that faces along its vector drives at `speed_mps(|vector|)`, and for the paper's proof
-    of stability the vector is a positive multiple of the sum of the units' ground vectors (eq. 5).
+    A law may choose the unit of length of the vector. Vector and speed must be consistent: a robot that faces
+    along its vector drives at `speed_mps(|vector|)`. The paper's stability proof requires the vector to be a
+    positive multiple of the sum of the units' ground vectors (eq. 5).
 
     Attributes:
-        k_omega: turn rate for an error of heading of one radian, 1/s.
-        needs_distances: whether units must send image distances to neighbours, and the inboxes keep them.
+        k_omega: turn rate per radian of heading error, 1/s.
+        needs_distances: whether units must send image distances to neighbours, and inboxes must store them.
     """
 
     @property
     def k_omega(self) -> float:
-        """Turn rate for an error of heading of one radian, 1/s; positive."""
+        """Turn rate per radian of heading error, 1/s; positive."""
         ...
 
     @property
     def needs_distances(self) -> bool:
-        """Whether the law uses image distances to neighbours; if not, the inboxes need not keep them."""
+        """True if the law uses image distances to neighbours; otherwise the inboxes need not store them."""
         ...
 
     def follow(self, inboxes: GoalInboxes, time_s: float) -> ComplexArray:
-        """The vectors (N,) that the robots are to follow, each in its own frame, `forward + i left`.
+        """Return the vectors (N,) that the robots must follow, each in its own frame, `forward + i left`.
 
-        A robot without a fresh goal (`GoalInboxes.fresh`), or nearer to its goal than the law's threshold,
-        gets exactly 0, and stands still. Each robot may use its own column of the inboxes only.
+        A robot stops, with exactly 0, without a fresh goal (`GoalInboxes.fresh`) or within the law's
+        threshold of its goal. Each robot may use only its own column of the inboxes.
         """
         ...
 
     def speed_mps(self, rho: Array) -> Array:
-        """Speeds (any shape), m/s, for lengths `rho` in the unit of `follow`; linear, and odd for negatives.
+        """Return speeds (any shape), m/s, for lengths `rho` in the unit of `follow`; linear and odd.
 
-        It is also called with components of a vector, which may be negative, and with 1 to learn the gain.
+        It is also called with components of a vector, which may be negative, and with 1 to obtain the gain.
         """
         ...
 
 
 @dataclass(frozen=True)
 class PixelGains:
-    """The paper's law: `v = k_v ρ`, with ρ = ρ_i^g in pixels (eq. 4 and 8).
+    """Law of the paper: `v = k_v ρ`, with ρ = ρ_i^g in pixels (eq. 4 and 8).
 
     The unknown mean scale of the cameras acts as a gain on v (the paper's Remark 1).
 
     Attributes:
-        k_v: speed for a pixel of goal, m/s/px.
-        k_omega: turn rate for a radian, 1/s.
+        k_v: speed per pixel of goal, m/s/px.
+        k_omega: turn rate per radian, 1/s.
         b_th: stop threshold, px (the paper's Corollary 2).
     """
 
@@ -80,24 +81,24 @@ class PixelGains:
         check_numbers(self, positive=("k_v", "k_omega"), not_negative=("b_th",))
 
     def follow(self, inboxes: GoalInboxes, time_s: float) -> ComplexArray:
-        """The vectors ρ_i^g (N,), px (eq. 4); 0 below the threshold."""
+        """Return the vectors ρ_i^g (N,), px (eq. 4); 0 below the threshold."""
         return _above(fuse_pixels(inboxes, time_s), self.b_th)
 
     def speed_mps(self, rho: Array) -> Array:
-        """Speeds `k_v rho` for lengths in pixels."""
+        """Return speeds `k_v rho` for lengths in pixels."""
         return self.k_v * rho
 
 
 @dataclass(frozen=True)
 class MarkerGains:
-    """The law in marker units: `v = k side_m Σ_j ρ_j / side_j`, with ρ_j and side_j in unit j's pixels.
+    """Law in marker units: `v = k side_m Σ_j ρ_j / side_j`, with ρ_j and side_j in unit j's pixels.
 
     The robot knows the side of its own marker in metres, so that v is k times a ground vector. Pixels cancel:
-    speed as well as direction is the same under every camera.
+    speed and direction are the same under every camera.
 
     Attributes:
-        k: speed for a metre of goal, 1/s.
-        k_omega: turn rate for a radian, 1/s.
+        k: speed per metre of goal, 1/s.
+        k_omega: turn rate per radian, 1/s.
         b_th: stop threshold, marker sides.
         side_m: side of the robot's marker.
     """
@@ -112,11 +113,11 @@ class MarkerGains:
         check_numbers(self, positive=("k", "k_omega", "side_m"), not_negative=("b_th",))
 
     def follow(self, inboxes: GoalInboxes, time_s: float) -> ComplexArray:
-        """The vectors Σ_j ρ_j / side_j (N,), marker sides; 0 below the threshold."""
+        """Return the vectors Σ_j ρ_j / side_j (N,), marker sides; 0 below the threshold."""
         return _above(fuse_marker_sides(inboxes, time_s), self.b_th)
 
     def speed_mps(self, rho: Array) -> Array:
-        """Speeds `k side_m rho` for lengths in marker sides."""
+        """Return speeds `k side_m rho` for lengths in marker sides."""
         return self.k * self.side_m * rho
 
 
@@ -144,16 +145,16 @@ class Wheels:
 
 
 UNLIMITED = Wheels(np.inf, np.inf)
-"""Wheels of the paper's robots, which are points without limits of speed."""
+"""Wheels of the paper's robots, which are points without speed limits."""
 
 
 def _above(rho: ComplexArray, threshold: float) -> ComplexArray:
-    """Vectors (N,), those shorter than the threshold set to 0."""
+    """Return the vectors (N,) with those shorter than the threshold set to 0."""
     return np.where(np.abs(rho) >= threshold, rho, 0)
 
 
 def unicycle_law(rho: ComplexArray, law: RobotLaw) -> tuple[Array, Array]:
-    """Speeds v (N,), m/s, and ω (N,), rad/s, for vectors ρ (N,) in the robots' frames (paper, eq. 7-8).
+    """Return speeds v (N,), m/s, and ω (N,), rad/s, for vectors ρ (N,) in robot frames (paper, eq. 7-8).
 
     With `α = π - arg ρ` in [-π, π), and α = 0 for ρ = 0,
 
@@ -164,18 +165,19 @@ def unicycle_law(rho: ComplexArray, law: RobotLaw) -> tuple[Array, Array]:
     """
     length = np.abs(rho)
     alpha = np.where(length > 0, wrap_angle(np.pi - np.angle(rho)), 0.0)
+    # cos α = -Re ρ / |ρ|, so that -sign(cos α) = sign(Re ρ).
     v_mps = np.sign(rho.real) * law.speed_mps(length)
     return v_mps, law.k_omega * wrap_angle(np.where(rho.real <= 0, 0.0, np.pi) - alpha)
 
 
 def offset_law(rho: ComplexArray, law: RobotLaw, wheels: Wheels) -> tuple[Array, Array]:
-    """Speeds v (N,), m/s, and ω (N,), rad/s, of robots whose markers lie ahead of the wheel axis by l.
+    """Return speeds v (N,), m/s, and ω (N,), rad/s, of robots with the marker ahead of the wheel axis by l.
 
-    The centre of such a marker can move in any direction at once, and is driven straight to its goal:
+    The centre of such a marker can move in any direction at once. It is driven straight to its goal:
 
         v = k ρ_forward,   ω = k ρ_left / l.
 
-    Where a limit would be exceeded both are reduced by one factor, which keeps the direction.
+    If a limit would be exceeded, both are reduced by one factor, which keeps the direction.
     """
     v_mps, omega_radps = law.speed_mps(rho.real), law.speed_mps(rho.imag) / wheels.axis_offset_m
     excess = np.maximum(np.abs(v_mps) / wheels.max_speed_mps, np.abs(omega_radps) / wheels.max_turn_radps)
@@ -184,10 +186,12 @@ def offset_law(rho: ComplexArray, law: RobotLaw, wheels: Wheels) -> tuple[Array,
 
 
 def wheel_law(rho: ComplexArray, law: RobotLaw, wheels: Wheels) -> tuple[Array, Array]:
-    """Speeds v (N,), m/s, and ω (N,), rad/s, within the wheels' limits, for vectors in the robots' frames.
+    """Return speeds v (N,), m/s, and ω (N,), rad/s, within the wheels' limits, for vectors in robot frames.
 
-    It is `offset_law` where the marker lies off the wheel axis, and else `unicycle_law`, v and ω clipped.
+    The law is `offset_law` if the marker lies off the wheel axis. Otherwise it is `unicycle_law`, with v and
+    ω clipped.
     """
+    check_kind("wheel_law: wheels", wheels, Wheels, "Wheels")
     if wheels.axis_offset_m:
         return offset_law(rho, law, wheels)
     v_mps, omega_radps = unicycle_law(rho, law)
@@ -200,9 +204,12 @@ def wheel_law(rho: ComplexArray, law: RobotLaw, wheels: Wheels) -> tuple[Array, 
 def robot_commands(
     inboxes: GoalInboxes, law: RobotLaw, time_s: float, *, wheels: Wheels = UNLIMITED
 ) -> VelocityCommand:
-    """Commands of all robots at `time_s`, each from its own inbox alone; robots without bodies.
+    """Return the commands of all robots without bodies at `time_s`, each from its own inbox alone.
 
-    A robot without a fresh goal, or at its goal, stands still.
+    A robot without a fresh goal, or at its goal, stops.
     """
+    check_kind("robot_commands: inboxes", inboxes, GoalInboxes, "GoalInboxes")
+    if not callable(getattr(law, "follow", None)):
+        raise InputError("robot_commands: law", shown(law), "a RobotLaw, such as MarkerGains")
     v_mps, omega_radps = wheel_law(law.follow(inboxes, time_s), law, wheels)
     return VelocityCommand(inboxes.ids, v_mps, omega_radps)

@@ -14,27 +14,26 @@ from skyherd.messages.checks import check_numbers
 
 
 def centre_distances(seen: Detections | UnitReport) -> Array:
-    """Distances (N,) of the robots seen from the image centre, in halves of the image's shorter side."""
+    """Return distances (N,) of the robots from the image centre, in halves of the image's shorter side."""
     points_px = seen.centers_px if isinstance(seen, Detections) else seen.points_px
     return np.asarray(np.linalg.norm(centred(points_px, seen.image_size_px), axis=1))
 
 
 @dataclass
 class SafetyRadius(SelectionPolicy):
-    """One unit's control set: the robots inside a radius about its image centre.
+    """Control set of one unit: the robots inside a radius about its image centre.
 
-    Sets of several units overlap freely. A robot enters the set inside `radius`, and may leave it outside
-    `radius (1 + hysteresis)`, or once it has not been detected for a dwell time. The set changes only at the
-    first image of a slot (control/topology/slots.py), a dwell time apart, so that every topology lasts for at
-    least that long; with units of unequal frame rates, less one image. A unit gives up a robot only if
-    another one reports to hold it inside its own radius, so that no robot is left to nobody because two units
-    each count on the other.
+    Sets of several units overlap freely. A robot enters the set inside `radius`. It may leave outside `radius
+    (1 + hysteresis)`, or after a dwell time without detection. The set changes only at the first image of a
+    slot (control/topology/slots.py). Every topology therefore lasts at least a dwell time; with unequal frame
+    rates, minus one image period. A unit releases a robot only if another unit reports it inside its own
+    radius. Two units therefore cannot both release a robot to each other.
 
     Attributes:
         radius: in halves of the image's shorter side. Chosen: inside the image with room for a robot to move
             during a dwell time; at half of it units share too few robots.
-        hysteresis: share of the radius. Chosen: larger than what a robot moves in the image in one step.
-        dwell_s: length of a slot, and how long a robot that is not detected counts as where it was seen last.
+        hysteresis: share of the radius. Chosen: larger than the motion of a robot in the image in one step.
+        dwell_s: length of a slot, and time for which an undetected robot counts at its last position.
     """
 
     radius: float = 0.85
@@ -50,7 +49,7 @@ class SafetyRadius(SelectionPolicy):
     def choose(
         self, seen: Detections, reports: Sequence[UnitReport], shape: Template, last: UnitReport | None
     ) -> Selection:
-        """The control set after an image; the robots of it that are inside the radius now are secure."""
+        """Return the control set after an image; its robots inside the radius now are secure."""
         distances = centre_distances(seen)
         inside = np.sort(seen.ids[distances < self.radius])
         for robot, distance in zip(seen.ids.tolist(), distances.tolist(), strict=True):
@@ -62,9 +61,9 @@ class SafetyRadius(SelectionPolicy):
         return Selection(self._ids, np.intersect1d(self._ids, inside))
 
     def _next_set(self, inside: IntArray, time_s: float, reports: Sequence[UnitReport]) -> IntArray:
-        """The robots inside, and of those controlled so far all that may not be given up.
+        """Return the robots inside, and the present robots that may not be released.
 
-        Those are still inside the leaving radius, or no other unit holds them securely.
+        A present robot is kept while it is inside the leaving radius, or if no other unit holds it securely.
         """
         secured = np.concatenate([NO_ROBOTS, *(report.secure_ids for report in reports)])
         leaving = [robot for robot in self._ids.tolist() if self._may_leave(robot, time_s)]
@@ -72,6 +71,6 @@ class SafetyRadius(SelectionPolicy):
         return np.union1d(kept, inside).astype(np.int64)
 
     def _may_leave(self, robot: int, time_s: float) -> bool:
-        """Whether a robot was last seen outside the leaving radius, or not at all for a dwell time."""
+        """Return whether a robot was last seen outside the leaving radius, or not at all for a dwell time."""
         seen_s, distance = self._last_seen.get(robot, (-np.inf, np.inf))
         return time_s - seen_s >= self.dwell_s or distance >= self.radius * (1 + self.hysteresis)

@@ -1,1 +1,1 @@
-"""The topology of who controls whom: conditions TC1-TC5, the rate of convergence, the slot clock."""
+"""Control topology: conditions TC1-TC5, the rate of convergence, the slot clock."""

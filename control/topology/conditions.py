@@ -1,7 +1,7 @@
 """The control topology as data, and the paper's conditions on it (Section II).
 
-A topology is the sets S_j^c: which robots each unit controls. G_c has the units as nodes and an edge
-where two of them control at least two robots in common.
+A topology is the sets S_j^c of the robots that each unit controls. The nodes of the graph G_c are the units.
+Two units are neighbours in it if they control at least two robots in common.
 """
 
 from collections.abc import Mapping
@@ -11,15 +11,17 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from skyherd.errors import InputError
 from skyherd.geometry import BoolArray, IntArray
+from skyherd.messages.checks import check_vectors, shown
 
 ControlSets = Mapping[int, IntArray]
-"""S_j^c by unit id: the robots that each unit controls, ascending."""
+"""Sets S_j^c by unit id: the robots that each unit controls, ascending."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Which of the paper's topology conditions hold (Section II).
+    """Validity of each of the paper's topology conditions (Section II).
 
     Attributes:
         tc1: the graph G_c of the units is connected.
@@ -37,21 +39,21 @@ class Conditions:
 
     @property
     def in_p(self) -> bool:
-        """Whether all hold: then the shape is reached from any start (Theorem 1)."""
+        """True if all hold: the shape is then reached from any start (Theorem 1)."""
         return self.in_q and self.tc3 and self.tc4 and self.tc5
 
     @property
     def in_q(self) -> bool:
-        """Whether TC1 and TC2 hold: then the shape is reached from nearby (Corollary 3)."""
+        """True if TC1 and TC2 hold: the shape is then locally stable (Corollary 3)."""
         return self.tc1 and self.tc2
 
 
 def control_matrix(sets: ControlSets, robot_ids: IntArray) -> BoolArray:
-    """(U, N) whether each unit, in ascending order, controls each of the robots, which ascend as well."""
+    """Return a mask (U, N) of the robots, ascending, that each unit, ascending, controls."""
     units = [sets[unit] for unit in sorted(sets)]
     robots = np.concatenate([np.zeros(0, dtype=np.int64), *units])
     row = np.repeat(np.arange(len(units)), [members.size for members in units])
-    column = np.searchsorted(robot_ids[:-1], robots)  # never past the end, so that it can be compared below
+    column = np.searchsorted(robot_ids[:-1], robots)  # at most the last column, a valid index below
     known = robot_ids[column] == robots
     matrix = np.zeros((len(units), robot_ids.size), dtype=bool)
     matrix[row[known], column[known]] = True
@@ -59,7 +61,7 @@ def control_matrix(sets: ControlSets, robot_ids: IntArray) -> BoolArray:
 
 
 def graph_edges(sets: ControlSets) -> list[tuple[int, int]]:
-    """Edges (j, k), j < k, of G_c."""
+    """Return the edges (j, k), j < k, of G_c."""
     units = sorted(sets)
     return [
         (j, k)
@@ -70,7 +72,10 @@ def graph_edges(sets: ControlSets) -> list[tuple[int, int]]:
 
 
 def check_conditions(controlled: BoolArray) -> Conditions:
-    """Which of TC1-TC5 hold for (U, N) booleans, units by all robots of the team: who controls whom."""
+    """Check TC1-TC5 for a mask (U, N) of the robots of the team that each unit controls."""
+    given: object = controlled
+    if not isinstance(given, np.ndarray) or given.ndim != 2:
+        raise InputError("check_conditions: controlled", shown(given), "an array of units by robots")
     holders = controlled.sum(axis=0)
     counts = controlled[:, holders > 1].astype(np.float64)  # exact, and much faster than integers
     common = counts @ counts.T
@@ -89,9 +94,10 @@ def check_conditions(controlled: BoolArray) -> Conditions:
 
 
 def owners_by_robot(sets: ControlSets) -> dict[int, list[int]]:
-    """Units that control each robot, ascending; a robot without any is left out."""
+    """Return the units that control each robot, ascending; robots without a unit are omitted."""
     owners: dict[int, list[int]] = {}
     for unit in sorted(sets):
+        check_vectors("owners_by_robot", **{f"sets[{unit}]": sets[unit]})
         for robot_id in sets[unit].tolist():
             owners.setdefault(robot_id, []).append(unit)
     return owners

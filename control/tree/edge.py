@@ -1,14 +1,13 @@
-"""One edge of the tree: two units share two robots, and take turns in choosing which.
+"""Edge of the tree: two units share two robots and take turns in choosing the pair.
 
-The unit that has the turn may exchange the pair for two other robots that the neighbour offers. It alone
-changes its control set then, at one instant; the neighbour's set stays as it is. It hands the turn over with
-a report that names the pair and the robots that it offers in return, and may not give those to anybody else
+The unit with the turn may exchange the pair for two other robots that the neighbour offers. Only its own
+control set changes then, at one instant; the neighbour's set stays the same. It hands the turn over with a
+report that contains the pair and the robots that it offers in return. It may not give those to another unit
 before the turn is back.
 
-At most one end has the turn, however messages are lost, delayed, repeated or reordered, because a turn ends
-where it is handed over before it begins at the other end. So the two sets have exactly the pair in common at
-every instant, and the two units need not agree on when to change. What one end knows of the pair is at most
-one turn old.
+At most one end has the turn under any message loss, delay, repetition and reordering: a turn ends at one end
+before it begins at the other. The two sets therefore have exactly the pair in common at every instant,
+without agreement on the time of a change. An end's knowledge of the pair is at most one turn old.
 """
 
 from dataclasses import dataclass, replace
@@ -22,25 +21,25 @@ NO_ROBOTS: Robots = frozenset()
 """An empty set of robots."""
 
 NO_TURN = -(2**53)
-"""Number of the turn at an end that has not received anything about the edge yet. *Derived*: below the
-milliseconds that any clock shows, also one that counts from a time to come, and exact in JSON."""
+"""Number of the turn at an end without a report about the edge. Derived: below the milliseconds of any clock,
+also one that counts from a future epoch, and exact in JSON."""
 
 
 @dataclass(frozen=True)
 class Edge:
-    """An edge as one of its two units knows it; a new value for each change.
+    """Edge as known by one of its two units; every change creates a new value.
 
     Attributes:
         unit_id: the unit itself.
         neighbor_id: the unit at the other end.
-        since_s: when this end came to be.
+        since_s: time at which this end was created.
         turn: number of the turn, which may be negative; the lower unit has the even ones. `NO_TURN` before
             the first report.
         pair: the shared robots, none or two.
         offered: robots of the unit's own that the neighbour may take while it has the turn.
         reach: robots of the neighbour that the unit may take while it has the turn.
-        to_release: those robots of `reach` that the neighbour would rather lose.
-        releasing: robots that the unit would rather lose, offered for that.
+        to_release: robots of `reach` that the neighbour prefers to release.
+        releasing: offered robots that the unit prefers to release.
         considered: slot and `reach` at the unit's last search for a better pair.
         wants: whether that search found one.
     """
@@ -59,15 +58,15 @@ class Edge:
 
     @property
     def is_my_turn(self) -> bool:
-        """Whether this unit, and not the neighbour, may exchange the pair now."""
+        """True if this unit, and not the neighbour, may exchange the pair now."""
         return self.turn != NO_TURN and has_turn(self.turn, self.unit_id, self.neighbor_id)
 
     def received(self, report: UnitReport) -> "Edge":
-        """The edge after a report of the neighbour: the turn is taken if the report hands it over.
+        """Return the edge after a report of the neighbour, with the turn if the report hands it over.
 
-        Reports that are older or repeated change nothing. On one edge the neighbour is one turn ahead at
-        most, and only with a turn that it hands over; if it is farther ahead, it gave up this edge and began
-        a new one.
+        Older or repeated reports change nothing. On one edge the neighbour is at most one turn ahead, and
+        only with a turn that it hands over. If it is farther ahead, it removed this edge and created a new
+        one.
         """
         status = edge_status(report, self.unit_id)
         if status is None or status.turn <= self.turn:
@@ -82,7 +81,7 @@ class Edge:
         )
 
     def handed_over(self, offered: Robots, releasing: Robots) -> "Edge":
-        """The edge after the unit's turn; what is offered stays promised until the turn is back."""
+        """Return the edge after the unit's turn; offered robots stay promised until the turn is back."""
         return replace(
             self,
             turn=self.turn + 1,
@@ -94,28 +93,28 @@ class Edge:
 
 
 def has_turn(turn: int, unit_id: int, neighbor_id: int) -> bool:
-    """Whether `unit_id` has the turn on its edge to `neighbor_id`: the lower unit has the even ones."""
+    """Return whether `unit_id` has the turn on its edge to `neighbor_id`; the lower unit has even turns."""
     return (turn % 2 == 0) == (unit_id < neighbor_id)
 
 
 def first_turn(time_s: float, holder_id: int, other_id: int) -> int:
-    """The turn at which a new edge begins, which `holder_id` has: the team's time in milliseconds.
+    """Return the first turn of a new edge, held by `holder_id`: the team's time in milliseconds.
 
-    A turn lasts for one image at least, and so for more than a millisecond. A new edge therefore starts
-    beyond all turns of any former edge of the two units, also if one of them has lost its memory.
+    A turn lasts at least one image, and so more than a millisecond. A new edge therefore starts beyond all
+    turns of any former edge of the two units, even if one of them has lost its memory.
     """
     turn = round(1000 * time_s)
     return turn if has_turn(turn, holder_id, other_id) else turn + 1
 
 
 def turn_time_s(turn: int) -> float:
-    """The team's time at which `first_turn` made a turn, s, to a millisecond."""
+    """Return the team's time of a turn made by `first_turn`, s, to a millisecond."""
     return turn / 1000
 
 
 @dataclass(frozen=True)
 class EdgeStatus:
-    """What a report says of the edge to one unit: turn, pair, robots offered, and those to be released."""
+    """Part of a report about the edge to one unit: turn, pair, offered robots and robots to release."""
 
     turn: int
     pair: Robots
@@ -124,7 +123,7 @@ class EdgeStatus:
 
 
 def edge_status(report: UnitReport, unit_id: int) -> EdgeStatus | None:
-    """What the report says of the sender's edge to `unit_id`; None if it names no such edge."""
+    """Return the status of the sender's edge to `unit_id`, or None if the report has no such edge."""
     tree: TreeStatus | None = report.tree
     if tree is None or unit_id not in tree.rows:
         return None

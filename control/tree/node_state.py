@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,7 +19,7 @@ Share = Literal["leverage", "nearest"]
 
 
 @dataclass(frozen=True)
-class TreeRule:
+class TreeSettings:
     """Settings of the protocol (control/tree/protocol.py).
 
     Attributes:
@@ -153,48 +153,30 @@ class NodeState:
         """Robots promised to neighbours, but for those promised to the unit `but`."""
         return NO_ROBOTS.union(*(edge.offered for unit, edge in self.edges.items() if unit != but))
 
-    def after(self, changes: "Changes") -> "NodeState":
-        """The state with new values of some fields; this very one if they are as before, as mostly."""
-        new: dict[str, Any] = {name: value for name, value in changes.items() if value != getattr(self, name)}
-        return replace(self, **new) if new else self
+    def after(self, new: "NodeState") -> "NodeState":
+        """Return this state with the fields of `new` that differ; this very one if none does, as mostly."""
+        if new is self:
+            return self
+        changed: dict[str, Any] = {}
+        for name in _FIELDS:
+            before, after = getattr(self, name), getattr(new, name)
+            if after is not before and after != before:
+                changed[name] = after
+        return replace(self, **changed) if changed else self
 
     def unseen_s(self, robot: int, time_s: float) -> float:
         """How long a robot has not been seen; counted from when it was first missed if it never was."""
         return time_s - self.seen_s.get(robot, self.missed_since_s.get(robot, time_s))
 
 
-class Changes(TypedDict, total=False):
-    """What a rule changes of a `NodeState`: new values of some of its fields."""
-
-    own: Robots
-    edges: Mapping[int, Edge]
-    tree_id: int
-    asks_id: int
-    ask_turn: int
-    heir_id: int
-    ready: bool
-    giving: Mapping[int, HandOver]
-    taking: Mapping[int, tuple[int, int]]
-    accepted: Robots
-    searches: bool
-    sought: Robots
-    imaged_s: float
-    since_s: float
-    slot: int
-    seen_s: Mapping[int, float]
-    missed_since_s: Mapping[int, float]
-    held_s: Mapping[int, float]
-    orphaned_s: Mapping[int, float]
-    distances_before: Mapping[int, float]
-    minority_s: float
-    extent: Extent | None
-    grew_slot: int
-    stalled: bool
+_FIELDS = tuple(field.name for field in fields(NodeState))
+"""Names of the fields of a state."""
 
 
-def resigned() -> Changes:
-    """What changes when a unit leaves the tree to join it anew."""
-    return Changes(
+def resigned(state: NodeState) -> NodeState:
+    """Return the state of a unit that leaves the tree to join it anew."""
+    return replace(
+        state,
         own=NO_ROBOTS,
         edges={},
         ready=False,
@@ -211,7 +193,7 @@ class Situation:
     """What a unit goes by at one image, besides its own state.
 
     Attributes:
-        rule: settings.
+        settings: settings.
         shape: the whole template, under the robots' present roles.
         unit_id: the unit itself.
         time_s: when the image was taken.
@@ -222,7 +204,7 @@ class Situation:
         peers: the newest report of each other unit.
     """
 
-    rule: TreeRule
+    settings: TreeSettings
     shape: Template
     unit_id: int
     time_s: float
@@ -235,13 +217,13 @@ class Situation:
     @cached_property
     def visible(self) -> Robots:
         """Robots in the image inside the radius."""
-        return frozenset(robot for robot, at in self.distances.items() if at < self.rule.radius)
+        return frozenset(robot for robot, at in self.distances.items() if at < self.settings.radius)
 
     @cached_property
     def living(self) -> tuple[PeerReport, ...]:
         """The newest reports of the units that are not silent, in the order of the units."""
         newest = sorted(self.peers.newest.items())
-        return tuple(peer for _, peer in newest if self.time_s - peer.time_s <= self.rule.silence_s)
+        return tuple(peer for _, peer in newest if self.time_s - peer.time_s <= self.settings.silence_s)
 
     @cached_property
     def members(self) -> tuple[PeerReport, ...]:
@@ -266,7 +248,7 @@ class Situation:
 
     def is_alive(self, unit: int) -> bool:
         """Whether a unit has been heard of within a silence."""
-        return self.time_s - self.heard_s(unit) <= self.rule.silence_s
+        return self.time_s - self.heard_s(unit) <= self.settings.silence_s
 
     def seen_by(self, unit: int) -> AbstractSet[int]:
         """Robots that a unit last reported to see."""

@@ -1,11 +1,11 @@
-"""Which two robots two neighbours share: the nearest, or those by which their fits agree fastest.
+"""Choice of the two robots that two neighbours share: the nearest, or those with the fastest agreement.
 
-Two units that share a pair of robots come to agree on the shape at a rate that has a closed form
-(`skyherd.control.topology.convergence_rate.pair_rates`). The rate depends on the control sets of the two
-units and on the template alone, and not on where the robots are now, so that a unit can compare pairs that it
-does not see. By the rule `leverage` the pair with the highest rate is shared; by the paper's rule, `nearest`,
-the two robots nearest to the image centre are. By either rule, pairs that hand over robots which one unit
-would rather lose to the other come first.
+Two units that share a pair of robots agree on the shape at a rate with a closed form
+(`skyherd.control.topology.convergence_rate.pair_rates`). The rate depends only on the control sets of the two
+units and the template, not on the robots' present positions. A unit can therefore compare pairs that it does
+not see. The rule `leverage` shares the pair with the highest rate. The paper's rule, `nearest`, shares the
+two robots nearest to the image centre. Under both rules, pairs that hand over robots which one unit prefers
+to release to the other have priority.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from skyherd.geometry import Array, IntArray
 from skyherd.messages import among
 
 MIN_DISTANCE = 1e-9
-"""Sums of distances, in half images, are held above this, since two robots may lie exactly at the image
+"""Minimum sum of distances, half images. Chosen: it avoids a division by zero for two robots at the image
 centre."""
 
 
@@ -38,23 +38,23 @@ def choose_pair(
     to_leave: Robots,
     gain: float,
 ) -> Robots | None:
-    """The pair to change to, or None where the present one is good enough.
+    """Return the pair to change to, or None if the present one is good enough.
 
-    Of all pairs of candidates the one that moves most robots to the unit that should have them; of those,
-    with `leverage`, the one whose two units' fits agree fastest (`pair_rates`), with `nearest` the two
-    nearest to the unit's image centre (the paper's rule). A pair that moves nobody must be better than the
-    present one by the factor `gain`, so that noise changes nothing.
+    The chosen pair moves the most robots to the unit that should have them. Among those, `leverage` takes the
+    pair with the fastest agreement of the two units' fits (`pair_rates`). `nearest` takes the two robots
+    nearest to the unit's image centre (the paper's rule). A pair that moves no robot must be better than the
+    present one by the factor `gain`, so that noise has no effect.
 
     Args:
         share: the rule.
         template: the whole shape.
         candidates: robots that both units see and that may be shared.
-        distances: of the candidates from the unit's image centre.
-        present: the pair shared now; empty, or with a member that is no candidate, it must be changed.
+        distances: distances of the candidates from the unit's image centre.
+        present: the pair shared now; if empty, or with a member that is no candidate, it must be changed.
         theirs: the neighbour's set, ascending.
         ours: the unit's set without the present pair, ascending.
-        to_take: robots that the neighbour would rather lose.
-        to_leave: robots of the present pair that the unit would rather lose.
+        to_take: robots that the neighbour prefers to release.
+        to_leave: robots of the present pair that the unit prefers to release.
         gain: factor by which a new pair must be better.
     """
     robots = sorted(candidates)
@@ -75,7 +75,7 @@ def choose_pair(
     return None if chosen == present else chosen
 
 
-def firmer_pair(
+def stronger_pair(
     template: Template,
     present: Robots,
     candidates: Robots,
@@ -84,10 +84,10 @@ def firmer_pair(
     firm: float,
     gain: float,
 ) -> Robots:
-    """The pair to get into view where the present one binds two units less than firmly; none if it is firm.
+    """Return the pair to bring into view if the present one couples two units weakly; none if it is strong.
 
-    Of all pairs of candidates that bind at the rate `firm`, or as firmly as any does, and better than the
-    present one by the factor `gain`, the one that lies nearest to the unit's own robots in the shape.
+    Candidates must reach the rate `firm`, or the highest possible rate, and exceed the present rate by the
+    factor `gain`. Of these pairs, the one nearest to the unit's own robots in the shape is chosen.
     """
     robots = sorted(candidates | present)
     pairs = np.array(list(combinations(robots, 2)), dtype=np.int64)
@@ -103,18 +103,18 @@ def firmer_pair(
 
 
 def _leverage(template: Template, pairs: IntArray, theirs: IntArray, ours: IntArray) -> Array:
-    """(P,) rate at which the fits of two units with these sets agree, for each pair that they might share."""
+    """Return the rates (P,) at which the fits of two units with these sets agree, for each candidate pair."""
     rows = np.searchsorted(template.ids, pairs)
     fixed, moving = (np.searchsorted(template.ids, ids) for ids in (theirs, ours))
     return pair_rates(template.points_px, fixed, moving, rows)
 
 
 def _nearness(pairs: IntArray, distances: Mapping[int, float]) -> Array:
-    """(P,) inverse of each pair's summed distance from the image centre, in half images."""
+    """Return the inverse (P,) of each pair's summed distance from the image centre, in half images."""
     total = [distances[a] + distances[b] for a, b in pairs.tolist()]
     return 1 / np.maximum(total, MIN_DISTANCE)
 
 
 def _count_in(pairs: IntArray, robots: Robots) -> IntArray:
-    """(P,) how many of the robots each of the pairs (P, 2) contains."""
+    """Return the number (P,) of the robots that each of the pairs (P, 2) contains."""
     return np.asarray(among(pairs, robots).sum(axis=1))

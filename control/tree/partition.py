@@ -1,42 +1,44 @@
-"""Whether the tree holds together: of two trees, or of parts that lost one another, all but one join anew."""
+"""Detection and repair of partitions: of two trees, or disconnected parts, all except one rejoin."""
+
+from dataclasses import replace
 
 import numpy as np
 
-from skyherd.control.tree.node_state import Changes, NodeState, Situation, resigned
+from skyherd.control.tree.node_state import NodeState, Situation, resigned
 from skyherd.messages import NO_ID
 
 
-def leave_for_lower_tree(state: NodeState, now: Situation) -> Changes:
-    """Leave a tree as soon as one with a lower number is heard of, so that of two trees one stays."""
-    others = [peer.tree.tree_id for peer in now.news]
-    return resigned() if any(NO_ID < tree_id < state.tree_id for tree_id in others) else Changes()
+def leave_for_lower_tree(state: NodeState, context: Situation) -> NodeState:
+    """Leave the tree if one with a lower number exists, so that one of two trees remains."""
+    others = [peer.tree.tree_id for peer in context.news]
+    return resigned(state) if any(NO_ID < tree_id < state.tree_id for tree_id in others) else state
 
 
-def heal_partition(state: NodeState, now: Situation) -> Changes:
-    """Leave the tree if the unit's part of it has not been the largest one for a silence.
+def heal_partition(state: NodeState, context: Situation) -> NodeState:
+    """Leave the tree if the unit's part of it has not been the largest one for a silence timeout.
 
-    Two ends of an edge that receive nothing from each other for long each go on without the other. Once they
-    do again, one tree is in two parts with no edge in between. Every unit can tell its part by the edges that
-    all members name. The units of the smaller part leave the tree one by one, and join it anew; of equal
-    parts the one with the lowest unit stays.
+    Two ends of an edge without reports from each other for long each continue without the other. When reports
+    arrive again, one tree is in two parts without an edge in between. Every unit can compute its part from
+    the edges that all members report. The units of the smaller part leave the tree one by one and rejoin it.
+    Of equal parts the one with the lowest unit remains.
     """
-    largest = min(_parts(state, now), key=lambda part: (-len(part), min(part)))
-    if not state.is_member or now.unit_id in largest:
-        return Changes(minority_s=np.inf)
-    since_s = min(state.minority_s, now.time_s)
-    if now.time_s - since_s < now.rule.silence_s:
-        return Changes(minority_s=since_s)
-    return Changes(minority_s=np.inf, **resigned())
+    largest = min(_parts(state, context), key=lambda part: (-len(part), min(part)))
+    if not state.is_member or context.unit_id in largest:
+        return replace(state, minority_s=np.inf)
+    since_s = min(state.minority_s, context.time_s)
+    if context.time_s - since_s < context.settings.silence_s:
+        return replace(state, minority_s=since_s)
+    return replace(resigned(state), minority_s=np.inf)
 
 
-def _parts(state: NodeState, now: Situation) -> list[set[int]]:
-    """The parts of the tree: this unit and the members heard of, by the edges that they name.
+def _parts(state: NodeState, context: Situation) -> list[set[int]]:
+    """Return the parts of the tree: this unit and the known members, by their reported edges.
 
-    Dead units that edges lead to count in between. Parts with an edge to a unit that is not heard of, because
-    it is dead or out of range, may be one part beyond it, and count as one.
+    Dead units at the ends of edges count as connections. Parts with an edge to a unit without reports,
+    because it is dead or out of range, may be connected beyond it. They count as one part.
     """
-    links = {peer.unit_id: set(peer.tree.rows) for peer in now.members}
-    links[now.unit_id] = set(state.edges)
+    links = {peer.unit_id: set(peer.tree.rows) for peer in context.members}
+    links[context.unit_id] = set(state.edges)
     known = set(links)
     for member, neighbors in list(links.items()):
         for neighbor in neighbors:
@@ -53,7 +55,7 @@ def _parts(state: NodeState, now: Situation) -> list[set[int]]:
 
 
 def _reached(start: int, links: dict[int, set[int]]) -> set[int]:
-    """All units that a walk along links gets to."""
+    """Return all units reachable along links."""
     part, ahead = {start}, [start]
     while ahead:
         new = links[ahead.pop()] - part

@@ -1,8 +1,8 @@
-"""The newest report received from each other unit.
+"""Newest report received from each other unit.
 
-Reports are read by many rules in every image, so that work on them is done once and then kept. A report turns
-its arrays into a set of robots and a table of distances when somebody first asks for them (`UnitReport`), and
-what follows from all reports together, such as the robots that anybody claims, is computed once an image
+Many rules read the reports in every image, so that derived values are computed once and cached. A report
+computes its set of robots and its table of distances at the first access (`UnitReport`). Values that depend
+on all reports, such as the claimed robots, are computed once per image
 (`skyherd.control.tree.node_state.Situation`).
 """
 
@@ -15,10 +15,10 @@ from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
 @dataclass(frozen=True, slots=True)
 class PeerReport:
-    """A report of one unit that takes part in the protocol.
+    """Report of one unit that takes part in the protocol.
 
     Attributes:
-        report: as received.
+        report: the received report.
         tree: its part about the tree.
     """
 
@@ -32,12 +32,12 @@ class PeerReport:
 
     @property
     def time_s(self) -> float:
-        """When the sender's image was taken."""
+        """Time of the sender's image."""
         return self.report.time_s
 
     @property
     def is_member(self) -> bool:
-        """Whether the sender belongs to a tree."""
+        """True if the sender belongs to a tree."""
         return self.tree.tree_id != NO_ID
 
     @property
@@ -56,25 +56,25 @@ class PeerReport:
         return self.tree.paired
 
     def near(self, radius: float) -> Robots:
-        """Robots that the sender sees inside a radius, in half images."""
+        """Return the robots that the sender sees inside a radius, in half images."""
         return frozenset(robot for robot, distance in self.distances.items() if distance < radius)
 
 
 @dataclass
 class PeerReports:
-    """The newest report of each unit; older ones that arrive later, and repeated ones, are dropped.
+    """Newest report of each unit; stale reports that arrive later, and repeated ones, are ignored.
 
     Attributes:
         newest: the last report of each unit.
-        last_as_member: the last report that each unit sent as a member of a tree. It names the unit's robots,
-            edges and heir, and is what the others go by when the unit falls silent.
+        last_as_member: the last report of each unit as a member of a tree. It contains the unit's robots,
+            edges and heir, and is the basis of failover when the unit falls silent.
     """
 
     newest: dict[int, PeerReport] = field(default_factory=dict, init=False)
     last_as_member: dict[int, PeerReport] = field(default_factory=dict, init=False)
 
     def take(self, reports: Sequence[UnitReport]) -> tuple[PeerReport, ...]:
-        """Remember reports; returns those that are newer than what was known of their senders."""
+        """Store reports; return those that are newer than the known ones of their senders."""
         news = []
         for report in reports:
             last = self.newest.get(report.unit_id)

@@ -1,35 +1,35 @@
-"""Control sets that keep TC1-TC5 by agreement: each unit's own robots, and a pair on each edge of a tree.
+"""Control sets that satisfy TC1-TC5 by agreement: each unit's own robots, and a pair on each edge of a tree.
 
-Every robot is one unit's own or in the pair of one edge, and the edges form a tree; then TC1-TC5 hold
-whatever the assignment is (docs/topology.md has the proofs). The assignment changes only
+Every robot is one unit's own or in the pair of one edge, and the edges form a tree. TC1-TC5 then hold for any
+assignment (docs/topology.md has the proofs). The assignment changes only
 
 - by turns (`pair_exchange`, `edge`): a unit exchanges the pair of an edge, at a slot of the team's time. A
-  robot goes from one unit to another by being shared in between. Every change is made by one unit alone, the
-  one that has the turn, so that nothing has to be agreed on and nothing can be half agreed;
-- by joining (`joining`): a unit asks a member of the tree, which grants an edge without a pair; the new unit
-  takes the first pair in its first turn;
-- by failover (`failover`): each unit names an heir among its neighbours. When the unit falls silent the heir
-  takes its robots and edges; the other neighbours turn to the heir and have the first turn;
-- by hand-over (`hand_over`): a robot that its unit lost from view becomes the own of one that sees it, with a
+  robot passes from one unit to another by being shared in between. Every change is made by one unit alone,
+  the one with the turn, so that no agreement is needed;
+- by joining (`joining`): a unit requests admission from a member of the tree, which grants an edge without a
+  pair. The new unit takes the first pair in its first turn;
+- by failover (`failover`): each unit names an heir among its neighbours. When the unit's heartbeat stops, the
+  heir takes its robots and edges. The other neighbours join the heir and have the first turn;
+- by hand-over (`hand_over`): a robot that its unit lost from view becomes the own of one that sees it, in a
   slot that both have agreed on;
-- by adoption (`orphans`): a robot that nobody controls becomes the own of the unit that sees it nearest to
-  its centre;
-- by repair (`orphans`, `partition`): robots that two units claim lose one of them, and of two trees, or two
-  parts of one, all units but those of one leave and join again.
+- by adoption (`orphans`): an uncontrolled robot becomes the own of the unit that sees it nearest to its
+  centre;
+- by repair (`orphans`, `partition`): a robot that two units claim loses one of them. Of two trees, or two
+  parts of one, all units except those of one leave and rejoin.
 
-Turns and joining are safe however messages are lost, late, repeated or reordered, while every two units
-receive a report of each other once in a silence: the protocol assumes that every unit can hear of every other
-one, directly or by relay. Failover, hand-over and adoption rest on what was received. Should two units hold
-one robot as their own, the higher one drops it; if it is in the pair of another edge, the unit that holds it
-as its own does. Neither offers it before that is settled. A unit that learns that it was given up for dead
-starts anew, and so does the smaller of two parts of the tree that lost one another (`partition`).
+Turns and joining are safe under any message loss, delay, repetition and reordering. The condition is that
+every two units receive a report of each other once per silence timeout. The protocol assumes that every unit
+can receive reports of every other one, directly or by relay. Failover, hand-over and adoption depend on the
+received reports. If two units hold one robot as their own, the higher one drops it. If the robot is in the
+pair of another edge, the unit that holds it as its own drops it. Neither offers it before that is settled. A
+unit that was declared dead rejoins, and so does the smaller of two separated parts of the tree (`partition`).
 
-A unit's state is one value (`NodeState`). Each rule reads it and the unit's situation (time, view, reports)
-and returns what is to change; `TreeProtocol.choose` applies the rules in the order of `RULES`.
+A unit's state is one value (`NodeState`). Each rule reads it and the unit's context (time, view, reports),
+and returns its changes. `TreeProtocol.choose` applies the rules in the order of `RULES`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,7 +40,7 @@ from skyherd.control.topology.slots import slot_at
 from skyherd.control.tree.failover import fail_over, name_heir
 from skyherd.control.tree.hand_over import give, take
 from skyherd.control.tree.joining import admit, join_tree, watch_growth
-from skyherd.control.tree.node_state import Changes, NodeState, Situation, TreeRule
+from skyherd.control.tree.node_state import NodeState, Situation, TreeSettings
 from skyherd.control.tree.orphans import adopt_orphans, yield_claims
 from skyherd.control.tree.pair_exchange import receive_turns, use_turns
 from skyherd.control.tree.partition import heal_partition, leave_for_lower_tree
@@ -50,69 +50,74 @@ from skyherd.geometry import IntArray
 from skyherd.messages import NO_ID, Detections, TreeStatus, UnitReport
 
 
-def note_view(state: NodeState, now: Situation) -> Changes:
-    """Note the time, the slot, and which robots are in view.
+def note_view(state: NodeState, context: Situation) -> NodeState:
+    """Record the time, the slot, and the robots in view.
 
-    Without an image for a silence, or after its clock was set, a unit begins anew to look around.
+    After a silence timeout without an image, or after a change of its clock, a unit searches again.
     """
-    is_used = now.time_s - state.imaged_s <= now.rule.silence_s
-    return Changes(
-        imaged_s=now.time_s,
-        since_s=state.since_s if is_used else now.time_s,
-        slot=now.slot,
-        seen_s={**state.seen_s, **dict.fromkeys(now.distances, now.time_s)},
+    is_used = context.time_s - state.imaged_s <= context.settings.silence_s
+    return replace(
+        state,
+        imaged_s=context.time_s,
+        since_s=state.since_s if is_used else context.time_s,
+        slot=context.slot,
+        seen_s={**state.seen_s, **dict.fromkeys(context.distances, context.time_s)},
     )
 
 
-def note_holding(state: NodeState, now: Situation) -> Changes:
-    """Note since when the unit has had each robot of its set, and which own robots it has never seen."""
-    never_seen = state.own - now.distances.keys() - state.seen_s.keys() - state.missed_since_s.keys()
-    return Changes(
-        held_s={robot: state.held_s.get(robot, now.time_s) for robot in state.controlled},
-        missed_since_s={**state.missed_since_s, **dict.fromkeys(never_seen, now.time_s)},
+def note_holding(state: NodeState, context: Situation) -> NodeState:
+    """Record the time since which the unit has each robot of its set, and its own robots never seen."""
+    never_seen = state.own - context.distances.keys() - state.seen_s.keys() - state.missed_since_s.keys()
+    return replace(
+        state,
+        held_s={robot: state.held_s.get(robot, context.time_s) for robot in state.controlled},
+        missed_since_s={**state.missed_since_s, **dict.fromkeys(never_seen, context.time_s)},
     )
 
 
-Transition = Callable[[NodeState, Situation], Changes]
-"""A rule of the protocol: from a unit's state and situation to what changes of the state."""
+Transition = Callable[[NodeState, Situation], NodeState]
+"""A rule of the protocol: from a unit's state and situation to the next state.
+
+Its calls of `replace` name the fields that it changes.
+"""
 
 RULES: tuple[tuple[Transition, str], ...] = (
-    (note_view, "first: all other rules read when robots were seen"),
-    (receive_turns, "before rules that read pairs: each edge is then known as its neighbour left it"),
-    (leave_for_lower_tree, "before the tree is mended: a tree that gives way need not be"),
-    (fail_over, "before claims and offers: what a dead neighbour had is settled first"),
-    (heal_partition, "after failover: parts of the tree are told apart by the edges that are left"),
-    (yield_claims, "before offers and adoption: both are made of what is left"),
-    (admit, "before this unit's own turns: units that ask get robots before neighbours with a pair do"),
-    (adopt_orphans, "after claims: what is adopted now can be offered in the turns of this image"),
-    (take, "after claims: a robot that was just taken is none of those that were claimed before"),
-    (give, "after admission: a robot that was just promised stays"),
+    (note_view, "first: all other rules read the times at which robots were seen"),
+    (receive_turns, "before rules that read pairs: each edge is then as its neighbour left it"),
+    (leave_for_lower_tree, "before repairs: a tree that yields to another one needs none"),
+    (fail_over, "before claims and offers: robots of a dead neighbour are settled first"),
+    (heal_partition, "after failover: the remaining edges define the parts of the tree"),
+    (yield_claims, "before offers and adoption: both use the remaining robots"),
+    (admit, "before this unit's own turns: requesting units get robots before neighbours with a pair"),
+    (adopt_orphans, "after claims: adopted robots can be offered in the turns of this image"),
+    (take, "after claims: a robot just taken was not claimed before"),
+    (give, "after admission: a robot just promised stays"),
     (join_tree, "after the rules for members: a founder begins to grant edges at its next image"),
-    (use_turns, "after all that changes own robots: offers are made of those that stay own"),
-    (watch_growth, "after turns: the tree grows by them, and is seen to have grown in the same image"),
+    (use_turns, "after all changes of own robots: offers contain robots that stay own"),
+    (watch_growth, "after turns: the tree grows by them, and growth is detected in the same image"),
     (name_heir, "after turns: only a neighbour with a pair can be the heir"),
-    (seek_robots, "after turns: a pair that was just taken is not sought"),
-    (note_holding, "last: it notes what all other rules have decided"),
+    (seek_robots, "after turns: a pair just taken is not sought"),
+    (note_holding, "last: it records the decisions of all other rules"),
 )
-"""All rules in the order in which they are applied, each with the reason for its place.
+"""All rules in the order of application, each with the reason for its place.
 
-Each rule is safe by itself, so that TC3-TC5 hold in any order; the order makes a unit react in the image in
-which it learns of something (tests/control/tree/test_rule_order.py shows what happens otherwise).
+Each rule is safe by itself, so that TC3-TC5 hold in any order. The order makes a unit react in the image in
+which it receives information. tests/control/tree/test_rule_order.py shows the effect of other orders.
 """
 
 
 @dataclass
 class TreeProtocol(SelectionPolicy):
-    """One unit's part in the protocol, as a selection policy.
+    """Selection policy of one unit by the tree protocol.
 
     Attributes:
-        rule: settings.
-        rules: what is applied, in this order; tests replace it.
-        state: after the last image.
-        peers: reports received.
+        settings: radii, times and thresholds of the protocol.
+        rules: rules to apply, in this order; tests replace it.
+        state: state after the last image.
+        peers: received reports.
     """
 
-    rule: TreeRule = field(default_factory=TreeRule)
+    settings: TreeSettings = field(default_factory=TreeSettings)
     rules: tuple[tuple[Transition, str], ...] = RULES
     state: NodeState = field(default_factory=NodeState, init=False)
     peers: PeerReports = field(default_factory=PeerReports, init=False)
@@ -120,24 +125,24 @@ class TreeProtocol(SelectionPolicy):
     def choose(
         self, seen: Detections, reports: Sequence[UnitReport], shape: Template, last: UnitReport | None
     ) -> Selection:
-        """Apply all rules to one image and to the reports received."""
-        now = self._situation(seen, reports, shape)
+        """Apply all rules to one image and the received reports."""
+        context = self._context(seen, reports, shape)
         for transition, _ in self.rules:
-            self.state = self.state.after(transition(self.state, now))
+            self.state = self.state.after(transition(self.state, context))
         state = self.state
         return Selection(
             controlled_ids=_ascending(state.controlled),
-            secure_ids=_ascending(state.controlled & now.visible),
+            secure_ids=_ascending(state.controlled & context.visible),
             may_move=state.ready,
             sought_ids=_ascending(state.sought),
             searches=state.searches,
-            tree_status=tree_status(state, now),
+            tree_status=tree_status(state, context),
         )
 
-    def _situation(self, seen: Detections, reports: Sequence[UnitReport], shape: Template) -> Situation:
-        slot = slot_at(seen.time_s, self.rule.dwell_s)
+    def _context(self, seen: Detections, reports: Sequence[UnitReport], shape: Template) -> Situation:
+        slot = slot_at(seen.time_s, self.settings.dwell_s)
         return Situation(
-            rule=self.rule,
+            settings=self.settings,
             shape=shape,
             unit_id=seen.unit_id,
             time_s=seen.time_s,
@@ -149,13 +154,18 @@ class TreeProtocol(SelectionPolicy):
         )
 
 
-def tree_status(state: NodeState, now: Situation) -> TreeStatus:
-    """What the unit's report says of the tree; missing are own robots that it has not seen for a silence."""
+def tree_status(state: NodeState, context: Situation) -> TreeStatus:
+    """Return the part of the unit's report about the tree.
+
+    Own robots unseen for a silence timeout are reported as missing.
+    """
     edges = list(state.edges.values())
     offers = [(robot, edge.neighbor_id) for edge in edges for robot in sorted(edge.offered)]
     to_release = frozenset[int]().union(*(edge.releasing & edge.offered for edge in edges))
-    hidden = state.own - now.distances.keys()
-    missing = [robot for robot in hidden if state.unseen_s(robot, now.time_s) > now.rule.silence_s]
+    hidden = state.own - context.distances.keys()
+    missing = [
+        robot for robot in hidden if state.unseen_s(robot, context.time_s) > context.settings.silence_s
+    ]
     return TreeStatus(
         tree_id=state.tree_id,
         asks_id=state.asks_id,

@@ -1,49 +1,48 @@
-"""Which robots a unit flies to see, besides those that it controls.
+"""Robots that a unit flies to see, besides its controlled robots.
 
-Both units of an edge know each other's control set and the shape. They can therefore compute which pair of
-robots would make their two fits agree fastest, whether or not they see these robots
-(`skyherd.control.tree.pair_selection`). While the pair that they share is weak, they fly to get a better one
-into view, and the tree then exchanges the pair in an ordinary turn. They do the same for robots that a
-neighbour has lost from view. A unit moves aside for robots that it seeks only as long as its own robots stay
-in view (`skyherd.control.flight.keep_in_view`).
+Both units of an edge know each other's control set and the shape. They can therefore compute the pair of
+robots with the fastest agreement of their two fits, even if they do not see these robots
+(`skyherd.control.tree.pair_selection`). While the shared pair is weak, they fly to bring a better one into
+view. The tree then exchanges the pair in an ordinary turn. They also search for robots that a neighbour has
+lost from view. A unit moves aside for sought robots only while its own robots stay in view
+(`skyherd.control.flight.keep_in_view`).
 
-Three measures together brought the median time to convergence of 40 random missions from 62 s to 30 s: this
-flight, the look around before the tree is founded, and the choice of the unit that sees most robots as its
-founder (`skyherd.control.tree.joining`). docs/topology.md has the measurements.
+docs/topology.md has the measured effect on the convergence time.
 """
 
-from skyherd.control.tree.node_state import Changes, NodeState, Situation
-from skyherd.control.tree.pair_selection import firmer_pair
+from dataclasses import replace
+
+from skyherd.control.tree.node_state import NodeState, Situation
+from skyherd.control.tree.pair_selection import stronger_pair
 
 
-def seek_robots(state: NodeState, now: Situation) -> Changes:
-    """At a slot: choose robots to get into view: missing ones, and pairs that would bind weak edges firmly.
+def seek_robots(state: NodeState, context: Situation) -> NodeState:
+    """Select robots to bring into view at a slot: missing robots, and pairs that would strengthen weak edges.
 
-    A neighbour reports robots of its own that it has not seen for a silence; the unit looks for those that it
-    saw itself, or began to look for, within its patience. Robots that no living member controls, as those of
-    units that died with all their neighbours, it looks for until somebody has them. Both units of an edge
-    know each other's control set and the shape, and so which pair would bind them firmly, seen or not; while
-    theirs is weak they fly to see a better one.
+    A neighbour reports own robots that it has not seen for a silence timeout. The unit searches for those
+    that it saw itself, or began to search for, within its patience. It also searches for robots that no
+    living member controls, such as those of units that died with all their neighbours, until a unit controls
+    them. For a weak edge it computes the pair that would couple both units strongly, and flies to see it.
     """
-    if not now.at_slot:
-        return Changes()
-    robots = set(now.shape.members - now.claimed - state.controlled) if state.ready else set[int]()
+    if not context.at_slot:
+        return state
+    robots = set(context.shape.members - context.claimed - state.controlled) if state.ready else set[int]()
     missed_since_s = dict(state.missed_since_s)
     for edge in state.edges.values():
-        neighbor = now.peers.newest[edge.neighbor_id]
+        neighbor = context.peers.newest[edge.neighbor_id]
         missing = neighbor.tree.missing_ids.tolist()
         for robot in missing:
             if robot not in state.seen_s:
-                missed_since_s.setdefault(robot, now.time_s)
-        robots.update(r for r in missing if state.unseen_s(r, now.time_s) < now.rule.patience_s)
-        if now.rule.share == "leverage" and edge.pair and edge.pair <= neighbor.controlled:
-            robots |= firmer_pair(
-                now.shape,
+                missed_since_s.setdefault(robot, context.time_s)
+        robots.update(r for r in missing if state.unseen_s(r, context.time_s) < context.settings.patience_s)
+        if context.settings.share == "leverage" and edge.pair and edge.pair <= neighbor.controlled:
+            robots |= stronger_pair(
+                context.shape,
                 edge.pair,
                 candidates=(neighbor.controlled - neighbor.paired) - state.controlled,
                 theirs=neighbor.controlled,
                 ours=state.controlled - edge.pair,
-                firm=now.rule.firm,
-                gain=now.rule.gain,
+                firm=context.settings.firm,
+                gain=context.settings.gain,
             )
-    return Changes(sought=frozenset(robots), missed_since_s=missed_since_s)
+    return replace(state, sought=frozenset(robots), missed_since_s=missed_since_s)

@@ -6,6 +6,7 @@ from pydantic import Field, model_validator
 
 from skyherd.control import Detour
 from skyherd.datasets.configuration.fields import MAX_ROBOTS, Model, NotNegative, Positive
+from skyherd.errors import InputError
 
 
 class RolesModel(Model):
@@ -13,13 +14,13 @@ class RolesModel(Model):
 
     exchange: bool = Field(
         False,
-        description="whether units exchange the robots' places in the shape, so that their ways are shorter",
+        description="whether units exchange the robots' places in the shape, for shorter paths",
     )
     period_s: Positive = Field(
-        1.0, description="s; the units take turns to exchange places, one at a time, each for so long"
+        1.0, description="s; length of the time slot in which one unit at a time exchanges places"
     )
     gain: Annotated[float, Field(ge=0, lt=1)] = Field(
-        0.05, description="least share of V, the cost of the fit, by which an exchange has to lower it"
+        0.05, description="smallest relative decrease of V, the cost of the fit, for an exchange"
     )
     classes: list[Annotated[int, Field(ge=0, lt=2**31)]] | None = Field(
         None,
@@ -43,7 +44,7 @@ class SizeModel(Model):
     @model_validator(mode="after")
     def _one(self) -> Self:
         if sum(value is not None for value in (self.spacing_sides, self.unit_m)) > 1:
-            raise ValueError("give one of spacing_sides and unit_m")
+            raise InputError("", "spacing_sides and unit_m given", "at most one of the two")
         return self
 
 
@@ -51,17 +52,17 @@ class AvoidanceModel(Model):
     """How robots keep apart; their bodies have the radius `robots.body_radius_sides`."""
 
     on: bool = Field(
-        False, description="whether units send each robot the bodies near it, so that it keeps clear of them"
+        False, description="whether units send each robot the bodies near it, for collision avoidance"
     )
     detour: Detour = Field(
         "around",
-        description="what a robot does whose way is barred: the best of all ways, circling what bars it, or "
-        "only stopping",
+        description="behaviour of a robot whose path is blocked: the best detour, circling the obstacle, or "
+        "stopping",
     )
     margin_sides: NotNegative = Field(0.2, description="marker sides; gap that is kept between two bodies")
     horizon_sides: Positive = Field(
         8.0, description="marker sides; largest gap to a body that units send to a robot"
     )
     lifetime_s: Positive = Field(
-        2.0, description="s; after this a robot forgets what was sent to it of a body"
+        2.0, description="s; a robot forgets a body this long after the last message about it"
     )

@@ -1,5 +1,6 @@
 """Scenario keys of a camera: intrinsics and lens."""
 
+import re
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -7,8 +8,13 @@ from pydantic import Field, FiniteFloat, model_validator
 
 from skyherd.datasets.configuration.cameras import CAMERAS
 from skyherd.datasets.configuration.fields import Model, Point
+from skyherd.datasets.configuration.validation import shown
 from skyherd.errors import InputError
 from skyherd.render import Camera, Distortion, Equidistant
+from skyherd.text import one_of
+
+LENS_VALUES = re.compile(r"^\w+\([^)]*\)")
+"""A lens with its coefficients, with which messages about it begin."""
 
 Coefficient = Annotated[FiniteFloat, Field(ge=-10, le=10)]
 """A coefficient of a lens. The range is *chosen*: real lenses stay below 1."""
@@ -30,7 +36,7 @@ class CameraModel(Model):
     """A camera: size of its image, intrinsics and lens. The controller gets the image's size alone."""
 
     preset: str | None = Field(
-        None, description=f"camera to begin with, which the other keys change: {', '.join(CAMERAS)}"
+        None, description=f"preset camera, whose values the other keys replace: {', '.join(CAMERAS)}"
     )
     size_px: tuple[Annotated[int, Field(ge=32, le=8192)], Annotated[int, Field(ge=32, le=8192)]] = Field(
         (800, 800), description="px; width and height of the image"
@@ -62,7 +68,7 @@ class CameraModel(Model):
     distortion: DistortionModel = Field(DistortionModel(), description="coefficients of a perspective lens")
     zoom_k1: Coefficient = Field(
         0.0,
-        description="what each doubling of the zoom adds to distortion.k1; 0 for a lens that never changes",
+        description="change of distortion.k1 for each doubling of the zoom; 0 for a constant lens",
     )
 
     @model_validator(mode="before")
@@ -70,8 +76,12 @@ class CameraModel(Model):
     def _begin_with_preset(cls, given: Any) -> Any:
         if not isinstance(given, dict) or given.get("preset") is None:
             return given
+        if not isinstance(given["preset"], str):
+            return given  # refused as no text
         if given["preset"] not in CAMERAS:
-            raise ValueError(f"no preset {given['preset']!r}; one of {', '.join(CAMERAS)}")
+            raise InputError(
+                "preset", f"no preset {shown(given['preset'])}", one_of(str(given["preset"]), CAMERAS)
+            )
         preset = dict(CAMERAS[given["preset"]])
         if given.get("focal_px") is not None or given.get("half_angle_deg") is not None:
             preset.pop("half_angle_deg")
@@ -80,10 +90,16 @@ class CameraModel(Model):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if (self.focal_px is None) == (self.half_angle_deg is None):
-            raise ValueError("give exactly one of focal_px and half_angle_deg")
+            what = (
+                "neither focal_px nor half_angle_deg"
+                if self.focal_px is None
+                else "focal_px and half_angle_deg"
+            )
+            raise InputError("", f"{what} given", "exactly one of the two")
         if self.lens == "equidistant" and (self.zoom_k1 or self.distortion != DistortionModel()):
-            raise ValueError(
-                "distortion and zoom_k1 are of perspective lenses: leave them out, or lens = 'equidistant'"
+            key = "zoom_k1" if self.zoom_k1 else "distortion"
+            raise InputError(
+                key, "given with lens = 'equidistant'", "leave it out, or set lens = 'perspective'"
             )
         return self
 
@@ -121,11 +137,11 @@ class CameraModel(Model):
             return Equidistant()
         return Distortion(**self.distortion.model_dump(), zoom_k1=self.zoom_k1)
 
-    def lens_complaint(self, zoom: float) -> str | None:
-        """Why the lens makes no image at a zoom, in one line that names the key; None if it makes one."""
+    def lens_problem(self, zoom: float) -> InputError | None:
+        """Return why the lens makes no image at a zoom, with its key as the place; None if it makes one."""
         try:
             self.make(zoom)
         except InputError as error:
             key = "distortion" if self.lens == "perspective" else "lens"
-            return f"camera.{key}: {error.what}; {error.allowed}"
+            return InputError(key, LENS_VALUES.sub("the lens", error.what), error.allowed)
         return None

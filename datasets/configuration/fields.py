@@ -1,8 +1,12 @@
 """Kinds of values that scenario files hold, with their ranges."""
 
+import re
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, WithJsonSchema
+
+from skyherd.errors import InputError
+from skyherd.markers.dictionary import canonical_name, load_dictionary
 
 MAX_MAGNITUDE = 1e6
 """Largest magnitude of a quantity in any unit. *Chosen*: beyond any real scene (1000 km, 11 days), so that a
@@ -19,9 +23,36 @@ MAX_ROBOTS = 10_000
 
 def _zero_or_more(value: float) -> float:
     if 0 < abs(value) < MIN_MAGNITUDE:
-        raise ValueError(f"0, or at least {MIN_MAGNITUDE:g}")
+        raise InputError("", f"{value!r}", f"0, or at least {MIN_MAGNITUDE:g} either side of it")
     return value
 
+
+def _check_dictionary(name: str) -> str:
+    try:
+        load_dictionary(name)
+    except InputError as error:
+        raise InputError("", error.what, error.allowed) from None
+    return canonical_name(name)
+
+
+NAME_PATTERN = r"^\w[\w .-]{0,99}$"
+"""Names of scenarios, which are those of output folders too, as JSON schemas write it."""
+
+
+def _check_name(name: str) -> str:
+    if not re.fullmatch(NAME_PATTERN, name):
+        allowed = "1 to 100 letters, digits, spaces, _ . and -; the first is a letter, a digit or _"
+        raise InputError("", "", allowed)
+    return name
+
+
+Name = Annotated[
+    str, AfterValidator(_check_name), WithJsonSchema({"type": "string", "pattern": NAME_PATTERN})
+]
+"""A name that a folder can have."""
+
+DictionaryName = Annotated[str, AfterValidator(_check_dictionary)]
+"""Name of a marker dictionary, skyherd's or OpenCV's; the value is skyherd's name."""
 
 Positive = Annotated[FiniteFloat, Field(ge=MIN_MAGNITUDE, le=MAX_MAGNITUDE)]
 """A quantity above 0."""

@@ -1,41 +1,31 @@
 """Scenarios are read from TOML, checked, and completed into missions: with a template and a start."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import ValidationError
 
 from skyherd.bodies import Bodies
 from skyherd.control import Schedule, Template
+from skyherd.datasets.configuration.file_kinds import SCENARIO, read_source, source_text
 from skyherd.datasets.configuration.models import Scenario, ShapeModel
 from skyherd.datasets.configuration.obstacles import check_obstacles
 from skyherd.datasets.configuration.robot_models import RobotsModel
 from skyherd.datasets.configuration.start import coincident, start_headings, start_positions
 from skyherd.datasets.configuration.template_image import read_template_image
-from skyherd.datasets.configuration.toml_files import (
-    built_in_names,
-    built_in_text,
-    first_error,
-    parse_toml,
-    put_value,
-    read_toml_text,
-)
+from skyherd.datasets.configuration.toml_files import apply_settings, built_in_names
+from skyherd.datasets.configuration.validation import check_tree, locate
 from skyherd.datasets.shapes.shapes import shape_points
-from skyherd.errors import DegenerateSetError, InputError
+from skyherd.errors import DegenerateSetError, InputError, ProblemCollector, join_errors
 from skyherd.files.images import Grey, read_grey
-from skyherd.files.reading import is_regular
 from skyherd.geometry import Array, IntArray, to_points
 from skyherd.markers.dictionary import dictionary_size
-from skyherd.messages.checks import check_kind, check_texts
+from skyherd.messages.checks import check_kind
 from skyherd.random_streams import RunStream, generator
 from skyherd.vision import check_detector_name, load_accuracy
-
-BUILT_IN = "skyherd.datasets.scenarios"
-"""Package of the built-in scenarios."""
 
 SAME_POINT = 1e-9
 """Two points of a template count as one within this share of its extent. *Chosen*: far above rounding, and
@@ -44,7 +34,7 @@ far below any spacing that robots could keep."""
 
 def scenario_names() -> list[str]:
     """Names of the built-in scenarios, in alphabetical order."""
-    return built_in_names(BUILT_IN)
+    return built_in_names(SCENARIO.package)
 
 
 def scenario_text(name: str) -> str:
@@ -53,7 +43,7 @@ def scenario_text(name: str) -> str:
     Raises:
         InputError: there is none of that name.
     """
-    return built_in_text(BUILT_IN, name, "scenario")
+    return source_text(name, SCENARIO)
 
 
 @dataclass(frozen=True)
@@ -133,14 +123,10 @@ def read_scenario(name_or_file: str) -> ScenarioSource:
     """Read a built-in scenario or a TOML file, without checking what it says.
 
     Raises:
-        InputError: there is no such scenario or file, or it is no TOML.
+        InputError: there is no such scenario or file, it is no TOML, or it is a file of another kind.
     """
-    path = Path(name_or_file)
-    is_file = path.suffix == ".toml" or is_regular(path)
-    where = str(path) if is_file else f"scenario {name_or_file}"
-    text = read_toml_text(path, "scenario") if is_file else scenario_text(name_or_file)
-    tree = parse_toml(text, where, "skyherd scenario show star")
-    return ScenarioSource(tree, where, path.parent if is_file else Path())
+    source = read_source(name_or_file, SCENARIO)
+    return ScenarioSource(source.tree, source.where, source.folder)
 
 
 def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int | None = None) -> Mission:
@@ -152,93 +138,124 @@ def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int |
         seed: put over the scenario's.
 
     Raises:
-        InputError: in one line, the file, the key, the value, and what is allowed.
+        InputError: a line for each problem: the file or the option, the key, the value, and what is allowed.
     """
     check_kind("load_mission: name_or_file", name_or_file, (str, Path), "a scenario's name or file")
     source = read_scenario(name_or_file)
-    for setting in check_texts("settings", settings):
-        _apply_setting(source.tree, setting)
+    origins = apply_settings(source.tree, settings, "control.k=0.2", SCENARIO.schema)
     if seed is not None:
         source.tree["seed"] = seed
-    return make_mission(source.tree, where=source.where, folder=source.folder)
+        origins["seed"] = "--seed"
+    return make_mission(source.tree, where=source.where, folder=source.folder, origins=origins)
 
 
-def make_mission(tree: dict[str, Any], *, where: str = "scenario", folder: Path | None = None) -> Mission:
+def make_mission(
+    tree: dict[str, Any],
+    *,
+    where: str = "scenario",
+    folder: Path | None = None,
+    origins: Mapping[str, str] | None = None,
+) -> Mission:
     """Check and complete a scenario given as a tree of plain values.
 
     Args:
         tree: dictionaries, lists and plain values, as in a TOML file.
         where: what to call it in a complaint.
         folder: the folder to which its pictures' names are relative; the working folder if None.
+        origins: options that gave values, by dotted key, to name them as the places of problems.
 
     Raises:
-        InputError: in one line, the key, the value, and what is allowed.
+        InputError: a line for each problem: the key, the value, and what is allowed.
     """
-    try:
-        scenario = Scenario.model_validate(tree)
-    except ValidationError as error:
-        raise first_error(error, where, "scenario") from None
+    scenario = check_tree(Scenario, tree, where, see=SCENARIO.schema, origins=origins)
     try:
         return _complete(scenario, folder or Path())
     except InputError as error:
-        raise InputError(f"{where}: {error.where}", error.what, error.allowed) from None
+        problems = [
+            InputError(locate(where, problem.where, origins or {}), problem.what, problem.allowed)
+            for problem in error.problems
+        ]
+        raise join_errors(problems) from None
     except DegenerateSetError as error:
-        raise InputError(f"{where}: template", str(error), "at least two distinct points") from None
-
-
-def _apply_setting(tree: dict[str, Any], setting: str) -> None:
-    """Put one `a.b.0.c=value` over the tree; the value is TOML, or plain text where that fails."""
-    key, equals, text = setting.partition("=")
-    if not equals or not key.strip():
-        raise InputError(f"--set {setting}", "not of the form key=value", "such as --set control.k=0.2")
-    try:
-        parsed = parse_toml(f"value = {text}", f"--set {setting}", "skyherd scenario show star")
-        value = parsed["value"] if len(parsed) == 1 else text
-    except InputError:
-        value = text
-    put_value(tree, key, value, f"--set {setting}")
+        place = locate(where, "template", origins or {})
+        raise InputError(place, str(error), "at least two distinct points") from None
 
 
 def _complete(scenario: Scenario, folder: Path) -> Mission:
     rng = generator(scenario.seed, RunStream.START_PLACES)
-    check_detector_name(scenario.detector)
-    if scenario.perception == "noisy":
-        load_accuracy(scenario.detector, noise=scenario.sensor.noise, psf_px=scenario.sensor.psf_px)
-    limit = dictionary_size(scenario.marker.dictionary)
-    template = _template(scenario.template, scenario.robots, scenario.marker.dictionary, folder)
+    problems = ProblemCollector()
+    with problems.collecting():
+        check_detector_name(scenario.detector)
+        if scenario.perception == "noisy":
+            load_accuracy(scenario.detector, noise=scenario.sensor.noise, psf_px=scenario.sensor.psf_px)
+    ground_image = None
+    with problems.collecting():
+        picture = scenario.ground.image
+        ground_image = None if picture is None else read_grey(folder / picture)
+    team = None
+    with problems.collecting():
+        team = _team(scenario, folder, rng)
+    problems.raise_all()
+    if team is None:
+        raise ValueError("a team without problems is complete")
+    order = np.argsort(team.ids)
+    return Mission(
+        scenario=scenario,
+        template=team.template,
+        ids=team.ids[order],
+        positions_m=team.positions_m[order],
+        headings_rad=team.headings_rad[order],
+        ground_image=ground_image,
+        later=Schedule(team.template, tuple(team.later)).later,
+    )
+
+
+class _Team(NamedTuple):
+    """Shapes and starts of a team, robots in the order of the scenario."""
+
+    template: Template
+    later: list[tuple[float, Template]]
+    ids: IntArray
+    positions_m: Array
+    headings_rad: Array
+
+
+def _team(scenario: Scenario, folder: Path, rng: np.random.Generator) -> _Team:
+    """Return the team of a scenario; problems that do not follow from each other are reported together."""
+    dictionary = scenario.marker.dictionary
+    limit = dictionary_size(dictionary)
+    template = _template(scenario.template, scenario.robots, dictionary, folder)
     ids = _robot_ids(scenario.robots, template)
     if ids.max() >= limit:
         raise InputError(
             "robots.ids",
-            f"{ids.size} robots, ids up to {ids.max()}, but {scenario.marker.dictionary} has {limit} markers",
+            f"{ids.size} robots, ids up to {ids.max()}, but {dictionary} has {limit} markers",
             f"ids from 0 to {limit - 1}, or a larger marker.dictionary",
         )
-    _check_template(ids, template)
-    later = [
-        (shape.at_s, _template(shape, scenario.robots, scenario.marker.dictionary, folder))
-        for shape in scenario.template.then
-    ]
-    for _, shape in later:
-        _check_template(ids, shape)
-    _check_classes(scenario, ids)
-    check_obstacles(scenario.obstacles, ids, limit, scenario.marker)
-    positions = start_positions(scenario, ids, template, rng)
-    headings = start_headings(scenario.robots, ids.size, rng)
-    order = np.argsort(ids)
-    picture = scenario.ground.image
-    ground_image = None if picture is None else read_grey(folder / picture)
-    return Mission(
-        scenario=scenario,
-        template=template,
-        ids=ids[order],
-        positions_m=positions[order],
-        headings_rad=headings[order],
-        ground_image=ground_image,
-        later=Schedule(template, tuple(later)).later,
-    )
+    problems, later = ProblemCollector(), []
+    with problems.collecting():
+        _check_template(ids, template, "template")
+    for number, shape in enumerate(scenario.template.then):
+        with problems.collecting():
+            made = _template(shape, scenario.robots, dictionary, folder, f"template.then.{number}")
+            _check_template(ids, made, f"template.then.{number}")
+            later.append((shape.at_s, made))
+    with problems.collecting():
+        _check_classes(scenario, ids)
+    with problems.collecting():
+        check_obstacles(scenario.obstacles, ids, limit, scenario.marker)
+    problems.raise_all()
+    with problems.collecting():
+        positions_m = start_positions(scenario, ids, template, rng)
+    with problems.collecting():
+        headings_rad = start_headings(scenario.robots, ids.size, rng)
+    problems.raise_all()
+    return _Team(template, later, ids, positions_m, headings_rad)
 
 
-def _template(model: ShapeModel, robots: RobotsModel, dictionary: str, folder: Path) -> Template:
+def _template(
+    model: ShapeModel, robots: RobotsModel, dictionary: str, folder: Path, where: str = "template"
+) -> Template:
     if model.image is not None:
         return read_template_image(folder / model.image, dictionary)
     count = next(
@@ -247,20 +264,31 @@ def _template(model: ShapeModel, robots: RobotsModel, dictionary: str, folder: P
     if model.points is not None:
         points = np.array(model.points, dtype=float).reshape(-1, 2)
     elif count is None:
-        raise InputError("robots", "nothing tells how many there are", "positions_m, ids or count")
+        raise InputError("robots", "their number is not given", "give positions_m, ids or count")
     elif not 2 <= count <= dictionary_size(dictionary):
         allowed = f"from 2 to the {dictionary_size(dictionary)} markers of {dictionary}"
         raise InputError(
             "robots", f"{count} robots; {dictionary} has {dictionary_size(dictionary)} markers", allowed
         )
     else:
-        points = shape_points(model.shape or "", count)
+        points = _named_shape(model.shape or "", count, where)
     ids = np.arange(len(points)) if robots.ids is None else np.array(robots.ids)
     if len(ids) != len(points):
         raise InputError(
-            "template.points", f"{len(points)} points for {len(ids)} robots", "a point for each robot"
+            f"{where}.points", f"{len(points)} points for {len(ids)} robots", "a point for each robot"
         )
-    return Template.from_ground_points(ids, points)
+    try:
+        return Template.from_ground_points(ids, points)
+    except DegenerateSetError as error:
+        raise InputError(where, str(error), "at least two distinct points") from None
+
+
+def _named_shape(name: str, count: int, where: str) -> Array:
+    """Return the points of a named shape; problems name the key of the shape that is meant."""
+    try:
+        return shape_points(name, count)
+    except InputError as error:
+        raise InputError(error.where.replace("template", where, 1), error.what, error.allowed) from None
 
 
 def _robot_ids(robots: RobotsModel, template: Template) -> IntArray:
@@ -287,14 +315,14 @@ def _check_classes(scenario: Scenario, ids: IntArray) -> None:
         raise InputError("roles.classes", what, "one for each, by ascending id")
 
 
-def _check_template(ids: IntArray, template: Template) -> None:
+def _check_template(ids: IntArray, template: Template, where: str) -> None:
     if (missing := np.setdiff1d(ids, template.ids)).size:
-        raise InputError("template", f"no point for robot(s) {missing.tolist()}", "one point for each robot")
+        raise InputError(where, f"no point for robot(s) {missing.tolist()}", "one point for each robot")
     if (extra := np.setdiff1d(template.ids, ids)).size:
-        what = f"points for {extra.tolist()}, which are no robots"
-        raise InputError("template", what, "one point for each robot")
+        what = f"points for {extra.tolist()}, which are not robots"
+        raise InputError(where, what, "one point for each robot")
     points = to_points(template.points_px)
     if (pair := coincident(points, SAME_POINT * float(np.ptp(points)))) is not None:
         first, second = template.ids[pair[0]], template.ids[pair[1]]
         what = f"robots {first} and {second} have one point"
-        raise InputError("template", what, "each robot its own place")
+        raise InputError(where, what, "each robot its own place")

@@ -13,6 +13,7 @@ from skyherd.datasets.configuration.fields import (
     Fraction,
     Height,
     Model,
+    Name,
     NotNegative,
     Point,
     Positive,
@@ -21,6 +22,9 @@ from skyherd.datasets.configuration.fields import (
 from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleModel, RobotsModel
 from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.configuration.unit_models import UnitModel
+from skyherd.datasets.configuration.validation import shown
+from skyherd.errors import InputError, join_errors
+from skyherd.text import one_of
 
 RATE_ROUNDING = 1e-9
 """By how much images a time step may exceed 1. *Chosen*: rounding of `frame_rate_hz * step_s`, such as 10
@@ -42,15 +46,17 @@ class ShapeModel(Model):
 
     @model_validator(mode="after")
     def _one(self) -> Self:
-        if sum(value is not None for value in (self.points, self.shape, self.image)) != 1:
-            raise ValueError("give exactly one of points, shape and image")
+        given = [key for key in ("points", "shape", "image") if getattr(self, key) is not None]
+        if len(given) != 1:
+            what = f"{' and '.join(given)} given" if given else "no shape given"
+            raise InputError("", what, "exactly one of points, shape and image")
         return self
 
 
 class LaterModel(ShapeModel):
     """A shape that takes the place of another."""
 
-    at_s: Positive = Field(description="s; time at which it takes the place of the shape before")
+    at_s: Positive = Field(description="s; time at which it replaces the previous shape")
 
 
 class TemplateModel(ShapeModel):
@@ -77,7 +83,7 @@ OWN_METHOD = ":"
 
 def _check_method(method: str) -> str:
     if method not in METHODS and OWN_METHOD not in method:
-        raise ValueError(f"no law {method!r}; one of {', '.join(METHODS)}, or module:factory")
+        raise InputError("", f"no law {shown(method)}", f"{one_of(method, METHODS)}, or module:factory")
     return method
 
 
@@ -91,7 +97,7 @@ class ControlModel(Model):
     )
     told_noise_m: NotNegative = Field(
         0.0,
-        description="m; standard deviation of the error, along x and along y and drawn anew at each step, of "
+        description="m; standard deviation of the error, along x and along y and drawn at each step, of "
         "the positions that a law other than `similarity` is given",
     )
     gains: Literal["marker", "pixel"] = Field(
@@ -103,15 +109,16 @@ class ControlModel(Model):
     b_th: NotNegative = Field(
         0.01, description="marker sides, or px with pixel gains; robots nearer to their goal than this stop"
     )
-    compensate: bool = Field(
+    latency_compensation: bool = Field(
         False,
-        description="whether robots take off their goals what they have driven since the image was taken",
+        description="latency compensation: whether robots subtract their motion since the image",
     )
     rectify: bool = Field(
-        True, description="whether units learn tilt and lens of their cameras from the markers, and undo them"
+        True,
+        description="whether units estimate tilt and lens of their cameras, and correct for them",
     )
     neighbors: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] = Field(
-        3, description="to how many nearest robots a unit sends each robot the distances"
+        3, description="number of nearest robots to which a unit sends each robot the distances"
     )
 
 
@@ -122,7 +129,7 @@ class SelectionModel(Model):
         "radius",
         description="all robots inside the radius, or TC1-TC5 kept by the units' tree protocol, or "
         "the first until "
-        "V falls no more and then the second",
+        "V stops falling, then the second",
     )
     share: Literal["leverage", "nearest"] = Field(
         "leverage",
@@ -142,7 +149,7 @@ class SelectionModel(Model):
     )
     dwell_s: Positive = Field(2.0, description="s; least time between two changes of the topology")
     silence_s: Positive = Field(
-        3.0, description="s; tree: a unit without a report for so long counts as dead"
+        3.0, description="s; tree: a unit counts as dead this long after its last report"
     )
 
 
@@ -158,7 +165,8 @@ class AutopilotModel(Model):
     @model_validator(mode="after")
     def _room(self) -> Self:
         if self.min_height_m >= self.max_height_m:
-            raise ValueError("min_height_m must be below max_height_m")
+            what = f"{self.min_height_m:g}, with max_height_m {self.max_height_m:g}"
+            raise InputError("min_height_m", what, "less than max_height_m")
         return self
 
 
@@ -175,9 +183,9 @@ class NetworkModel(Model):
     )
     relay: bool = Field(
         True,
-        description="whether units' radios pass reports on, to units out of the sender's range",
+        description="whether units relay reports to units out of the sender's range",
     )
-    relay_s: NotNegative = Field(0.02, description="s; time that passing a report on takes")
+    relay_s: NotNegative = Field(0.02, description="s; delay of a relayed report")
     delay_s: NotNegative = Field(
         0.0,
         description="s; largest delay of a message, drawn for each receiver; later ones may overtake earlier",
@@ -206,10 +214,8 @@ class Scenario(Model):
         off = ((unit.clock_offset_s, unit.clock_drift_ppm) for unit in self.units)
         return any(map(any, off)) or bool(self.robots.clock_offset_s or self.robots.clock_drift_ppm)
 
-    name: str = Field(
-        pattern=r"^\w[\w .-]{0,99}$", description="name of the scenario, and of its output folder"
-    )
-    description: str = Field("", description="what it shows, for people")
+    name: Name = Field(description="name of the scenario, and of its output folder")
+    description: str = Field("", description="description of the scenario")
     seed: Seed = Field(1, description="seed of all random draws; same seed, same run")
     duration_s: Annotated[FiniteFloat, Field(ge=0.0001, le=86400)] = Field(description="s; simulated time")
     step_s: Annotated[FiniteFloat, Field(ge=0.0001, le=1)] = Field(
@@ -217,32 +223,34 @@ class Scenario(Model):
     )
     perception: Literal["rendered", "ideal", "noisy"] = Field(
         "rendered",
-        description="how units detect markers: in rendered images, exactly, or with the detector's "
+        description="detection of markers: in rendered images, exactly, or with the detector's "
         "measured noise",
     )
     detector: str = Field(
         "tracking", description="name of the marker detector, one of `skyherd.vision.detector_names()`"
     )
-    template: TemplateModel = Field(description="the shape to form, and those that come after it")
-    robots: RobotsModel = Field(description="the ground robots: where they start, and what they can do")
+    template: TemplateModel = Field(description="the shapes to form")
+    robots: RobotsModel = Field(description="the ground robots: starts and limits")
     marker: MarkerModel = Field(description="the markers on robots and obstacles")
     control: ControlModel = Field(ControlModel(), description="the law that moves the robots, and its gains")
-    selection: SelectionModel = Field(SelectionModel(), description="which robots each unit controls")
-    roles: RolesModel = Field(RolesModel(), description="which robot takes which point of the template")
-    size: SizeModel = Field(SizeModel(), description="how large the shape becomes")
-    avoidance: AvoidanceModel = Field(AvoidanceModel(), description="how robots keep apart")
+    selection: SelectionModel = Field(
+        SelectionModel(), description="selection of the robots that each unit controls"
+    )
+    roles: RolesModel = Field(
+        RolesModel(), description="assignment of the robots to the points of the template"
+    )
+    size: SizeModel = Field(SizeModel(), description="size of the shape")
+    avoidance: AvoidanceModel = Field(AvoidanceModel(), description="collision avoidance")
     units: list[UnitModel] = Field(min_length=1, max_length=256, description="the aerial units")
     autopilot: AutopilotModel = Field(AutopilotModel(), description="limits that the units' autopilots keep")
-    network: NetworkModel = Field(NetworkModel(), description="what goes wrong with images and messages")
-    sensor: SensorModel = Field(SensorModel(), description="what the cameras' sensors do to images")
+    network: NetworkModel = Field(NetworkModel(), description="losses and delays of images and messages")
+    sensor: SensorModel = Field(SensorModel(), description="sensors of the cameras")
     ground: GroundModel = Field(GroundModel(), description="the textured ground, and clutter on it")
     occluders: list[OccluderModel] = Field(
-        default=[], max_length=1000, description="opaque shapes that lie over markers"
+        default=[], max_length=1000, description="opaque shapes over markers"
     )
-    obstacles: list[ObstacleModel] = Field(
-        default=[], max_length=1000, description="round bodies that stand still"
-    )
-    goal: GoalModel = Field(GoalModel(), description="when a run counts as converged")
+    obstacles: list[ObstacleModel] = Field(default=[], max_length=1000, description="static round bodies")
+    goal: GoalModel = Field(GoalModel(), description="criterion of convergence")
 
     @property
     def obstacles_by_id(self) -> list[ObstacleModel]:
@@ -262,9 +270,13 @@ class Scenario(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        for number, unit in enumerate(self.units):
-            for complaint in self._complaints(unit):
-                raise ValueError(f"unit {number}: {complaint}")
+        problems = [
+            problem.within_key(f"units.{number}")
+            for number, unit in enumerate(self.units)
+            for problem in self._unit_problems(unit)
+        ]
+        if problems:
+            raise join_errors(problems)
         return self
 
     @model_validator(mode="after")
@@ -274,19 +286,26 @@ class Scenario(Model):
             "roles.exchange": self.roles.exchange,
             "avoidance.on": self.avoidance.on,
             "template.then": self.template.then,
-            "control.gains of pixels": self.control.gains == "pixel",
+            "control.gains": self.control.gains == "pixel",
         }
         if self.control.method != "similarity" and (given := [name for name, on in parts.items() if on]):
-            raise ValueError(f"control.method {self.control.method} knows no {given[0]}: leave it out")
+            what = f"not supported by control.method {self.control.method}"
+            raise join_errors(
+                [InputError(key, what, "leave it out, or use the method similarity") for key in given]
+            )
         return self
 
-    def _complaints(self, unit: UnitModel) -> Iterator[str]:
+    def _unit_problems(self, unit: UnitModel) -> Iterator[InputError]:
         low, high = self.autopilot.min_height_m, self.autopilot.max_height_m
         rate = unit.frame_rate_hz
         if not low <= unit.height_m <= high:
-            yield f"height_m {unit.height_m:g} is outside the autopilot's {low:g} to {high:g} m"
+            what = f"{unit.height_m:g} is outside the autopilot's limits"
+            yield InputError(
+                "height_m", what, f"from autopilot.min_height_m to max_height_m: {low:g} to {high:g}"
+            )
         if rate * self.step_s > 1 + RATE_ROUNDING:
-            yield f"frame_rate_hz {rate:g} is more than one image a step_s of {self.step_s:g}"
-        complaints = (unit.camera.lens_complaint(zoom) for zoom in unit.zooms())
-        if complaint := next(filter(None, complaints), None):
-            yield complaint
+            what = f"{rate:g} is more than one image in each step_s of {self.step_s:g}"
+            yield InputError("frame_rate_hz", what, f"at most {1 / self.step_s:g}, or a smaller step_s")
+        problems = (unit.camera.lens_problem(zoom) for zoom in unit.zooms())
+        if problem := next(filter(None, problems), None):
+            yield problem.within_key("camera")

@@ -4,11 +4,11 @@ Obstacles are round bodies with markers that never move. They are rendered and d
 in no template: this is how the controller distinguishes them from robots.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleModel
+from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleMarkerModel, ObstacleModel
 from skyherd.errors import InputError
 from skyherd.geometry import IntArray
 
@@ -22,20 +22,42 @@ def check_obstacles(
         InputError: an id is a robot's, another obstacle's, or not below `limit`; or two obstacles are nearer
             to each other than a marker side.
     """
-    taken = {int(robot): f"robot {robot}" for robot in robot_ids}
+    check_obstacle_ids(obstacles, robot_ids.tolist(), limit, marker.dictionary, "marker.dictionary")
     for number, obstacle in enumerate(obstacles):
         where = f"obstacles.{number}"
-        if obstacle.id >= limit:
-            what = f"{obstacle.id}, but {marker.dictionary} has {limit} markers"
-            raise InputError(
-                f"{where}.id", what, f"an id from 0 to {limit - 1}, or a larger marker.dictionary"
-            )
-        if obstacle.id in taken:
-            what = f"{obstacle.id} is the marker of {taken[obstacle.id]}"
-            raise InputError(f"{where}.id", what, "a marker of its own")
-        taken[obstacle.id] = f"obstacle {number}"
         for other in obstacles[:number]:
             apart_m = float(np.hypot(*np.subtract(obstacle.position_m, other.position_m)))
             if apart_m < marker.side_m:
                 what = f"{apart_m:.2g} m from obstacle {other.id}, so that one marker covers the other"
                 raise InputError(f"{where}.position_m", what, f"at least {marker.side_m:g} m apart")
+
+
+def check_obstacle_ids(
+    obstacles: Sequence[ObstacleMarkerModel],
+    robot_ids: Iterable[int],
+    limit: int,
+    dictionary: str,
+    dictionary_key: str,
+) -> None:
+    """Check that each obstacle has a marker of its own.
+
+    Args:
+        obstacles: as the file lists them.
+        robot_ids: markers of the robots.
+        limit: number of markers in the dictionary.
+        dictionary: its name.
+        dictionary_key: key of the file that names it.
+
+    Raises:
+        InputError: an id is a robot's, another obstacle's, or not below `limit`.
+    """
+    taken = {int(robot): f"robot {robot}" for robot in robot_ids}
+    for number, obstacle in enumerate(obstacles):
+        where = f"obstacles.{number}.id"
+        if obstacle.id >= limit:
+            what = f"{obstacle.id}, but {dictionary} has {limit} markers"
+            raise InputError(where, what, f"an id from 0 to {limit - 1}, or a larger {dictionary_key}")
+        if obstacle.id in taken:
+            what = f"{obstacle.id} is the marker of {taken[obstacle.id]}"
+            raise InputError(where, what, "a marker of its own")
+        taken[obstacle.id] = f"obstacle {number}"

@@ -9,6 +9,7 @@ from skyherd.datasets.configuration.fields import (
     Angle,
     ClockDrift,
     ClockOffset,
+    DictionaryName,
     Fraction,
     Model,
     NotNegative,
@@ -33,21 +34,18 @@ class ScatterModel(Model):
     )
 
 
-class DriveModel(Model):
-    """What the robots' wheels make of a command; each part is off at 0, limits if left out."""
+class WheelsModel(Model):
+    """The errors of the robots' wheels, and how fast they brake; each part is off at 0."""
 
     max_accel_mps2: Positive | None = Field(
         None, description="m/s²; limit on the change of the speed v; none if left out"
-    )
-    max_turn_accel_radps2: Positive | None = Field(
-        None, description="rad/s²; limit on the change of the turn rate omega; none if left out"
     )
     wheel_step_mps: NotNegative = Field(
         0.0, description="m/s; wheel speeds are multiples of this; 0: any speed"
     )
     dead_zone_mps: NotNegative = Field(0.0, description="m/s; smaller wheel speeds are 0")
     gain_error: Fraction = Field(
-        0.0, description="largest share by which a wheel is faster or slower, drawn once for each wheel"
+        0.0, description="largest relative speed error of a wheel, drawn once for each wheel"
     )
     track_m: Annotated[FiniteFloat, Field(ge=0.001, le=100)] = Field(
         0.2, description="m; distance between the wheels, for the three keys about wheels"
@@ -55,17 +53,25 @@ class DriveModel(Model):
     slip: Fraction = Field(
         0.0, description="standard deviation of the share of v and omega that the ground adds or takes"
     )
+
+    @property
+    def has_wheels(self) -> bool:
+        """Whether any part acts on single wheels: steps, dead zone or gains."""
+        return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
+
+
+class DriveModel(WheelsModel):
+    """What the robots' wheels make of a command; each part is off at 0, limits if left out."""
+
+    max_turn_accel_radps2: Positive | None = Field(
+        None, description="rad/s²; limit on the change of the turn rate omega; none if left out"
+    )
     delay_s: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
         0.0, description="s; time from a command to its effect, rounded up to whole time steps"
     )
     axis_offset_m: Offset = Field(
         0.0, description="m; how far ahead of the wheel axis the body's middle and the marker lie"
     )
-
-    @property
-    def has_wheels(self) -> bool:
-        """Whether any part acts on single wheels: steps, dead zone or gains."""
-        return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
 
 
 class RobotsModel(Model):
@@ -81,7 +87,7 @@ class RobotsModel(Model):
         max_length=MAX_ROBOTS,
         description="deg; start headings, counter-clockwise from +x; random if left out",
     )
-    scatter: ScatterModel | None = Field(None, description="a random start, in place of positions_m")
+    scatter: ScatterModel | None = Field(None, description="a random start, instead of positions_m")
     count: Annotated[int, Field(ge=2, le=MAX_ROBOTS)] | None = Field(
         None, description="number of robots, where it does not follow from positions, ids or points"
     )
@@ -90,10 +96,10 @@ class RobotsModel(Model):
     )
     max_speed_mps: Positive = Field(1.0, description="m/s; limit on the speed |v|")
     clock_offset_s: ClockOffset = Field(
-        0.0, description="s; robots' clocks are off by up to this either way, drawn once for each"
+        0.0, description="s; largest offset of the robots' clocks, either way, drawn once for each"
     )
     clock_drift_ppm: ClockDrift = Field(
-        0.0, description="millionths by which they are fast or slow at most, drawn once for each"
+        0.0, description="ppm; largest drift of the robots' clocks, either way, drawn once for each"
     )
     max_turn_radps: Positive = Field(3.0, description="rad/s; limit on the turn rate |omega|")
     timeout_s: Positive = Field(
@@ -103,22 +109,29 @@ class RobotsModel(Model):
     body_radius_sides: NotNegative = Field(
         0.0, description="marker sides; radius of the round body about the marker; 0: robots are points"
     )
-    drive: DriveModel = Field(DriveModel(), description="what the wheels make of a command")
+    drive: DriveModel = Field(DriveModel(), description="response of the wheels to a command")
 
 
 class MarkerModel(Model):
     """The markers on robots and obstacles."""
 
-    dictionary: str = Field("4X4_50", description="marker dictionary, named as in `skyherd markers --help`")
+    dictionary: DictionaryName = Field(
+        "4X4_50", description="marker dictionary, named as in `skyherd markers --help` or in OpenCV"
+    )
     side_m: Annotated[FiniteFloat, Field(ge=0.001, le=1000)] = Field(
         description="m; side of the black square"
     )
 
 
-class ObstacleModel(Model):
-    """Something round that stands still, with a marker like a robot's at its middle."""
+class ObstacleMarkerModel(Model):
+    """A round obstacle, with a marker like a robot's at its middle."""
 
     id: MarkerId = Field(description="its marker, which no robot has")
+    radius_sides: Positive = Field(1.0, description="marker sides; radius of its body")
+
+
+class ObstacleModel(ObstacleMarkerModel):
+    """Something round that stands still, with a marker like a robot's at its middle."""
+
     position_m: Point = Field(description="m; its place (x, y) on the ground")
     heading_deg: Angle = Field(0.0, description="deg; heading of its marker, counter-clockwise from +x")
-    radius_sides: Positive = Field(1.0, description="marker sides; radius of its body")

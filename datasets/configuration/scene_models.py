@@ -103,7 +103,7 @@ class ProcessingModel(Model):
     sharpen_px: SharpeningRadius = Field(1.0, description="px; standard deviation of the mask's blur")
     h264_crf: ConstantRateFactor | None = Field(
         None,
-        description="constant rate factor, 0 (hardly a loss) to 51, of an H.264 video that images go "
+        description="constant rate factor, 0 (almost no loss) to 51, of an H.264 video that images go "
         "through after the JPEG; none if left out",
     )
 
@@ -137,7 +137,7 @@ class SensorModel(Model):
         0.0, description="s; rolling shutter: time from one image row to the next"
     )
     vignetting: Share = Field(0.0, description="share of the light that the image's corners lack")
-    gradient: Share = Field(0.0, description="share by which the light grows from one border to the other")
+    gradient: Share = Field(0.0, description="relative growth of the light from one border to the other")
     gradient_deg: Angle = Field(
         0.0,
         description="deg; direction in the image in which the light grows, from right (0) towards down (90)",
@@ -157,7 +157,7 @@ class SensorModel(Model):
         None, description="quality, 1 to 100, of a JPEG that images go through; none if left out"
     )
     lens_blur: LensBlurModel = Field(LensBlurModel(), description="defocus and coma")
-    processing: ProcessingModel = Field(ProcessingModel(), description="what the camera does to its images")
+    processing: ProcessingModel = Field(ProcessingModel(), description="image processing in the camera")
 
     def make(self, rng: np.random.Generator) -> Sensor:
         """Make the sensor described, its noise drawn from `rng`.
@@ -216,11 +216,18 @@ class GroundModel(Model):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if (self.kind == "image") != (self.image is not None):
-            raise ValueError("give image, a picture file, with the kind image, and with no other")
-        for low, high in (self.clutter_side_m, self.clutter_levels):
+        if self.kind == "image" and self.image is None:
+            raise InputError("image", "missing", "a picture file, which the kind image needs")
+        if self.kind != "image" and self.image is not None:
+            raise InputError(
+                "image", f"given with the kind {self.kind}", "leave it out, or set kind = 'image'"
+            )
+        for key, (low, high) in (
+            ("clutter_side_m", self.clutter_side_m),
+            ("clutter_levels", self.clutter_levels),
+        ):
             if low > high:
-                raise ValueError("clutter_side_m and clutter_levels go from least to greatest")
+                raise InputError(key, f"[{low:g}, {high:g}]", "the smaller number first")
         return self
 
     @property
@@ -273,11 +280,13 @@ class OccluderModel(Model):
     def _one(self) -> Self:
         disc = (self.center_m is not None) + (self.radius_m is not None)
         if disc != (0 if self.corners_m is not None else 2):
-            raise ValueError("give either center_m and radius_m, or corners_m")
+            given = [key for key in ("center_m", "radius_m", "corners_m") if getattr(self, key) is not None]
+            what = f"{' and '.join(given)} given" if given else "no shape given"
+            raise InputError("", what, "either center_m and radius_m, or corners_m")
         try:
             self.make()
         except InputError as error:
-            raise ValueError(f"{error.what}; {error.allowed}") from None
+            raise InputError("", error.what, error.allowed) from None
         return self
 
     def make(self) -> Disc | Quad:

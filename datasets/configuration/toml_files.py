@@ -3,16 +3,17 @@
 import os
 import re
 import tomllib
+from collections.abc import Iterable
 from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
+from skyherd.datasets.configuration.validation import MAX_SHOWN
 from skyherd.errors import InputError
 from skyherd.files.reading import read_text
-from skyherd.text import shorten
+from skyherd.messages.checks import check_kind, check_texts
+from skyherd.text import did_you_mean
 
 MAX_BYTES = 2**18
 """Size of the largest TOML file that is read. *Chosen*: places of a thousand robots, each with its own line,
@@ -20,9 +21,6 @@ take a fifth of it; it is parsed in about a second."""
 
 MAX_LEVELS = 32
 """Levels of tables and lists in a TOML file. *Chosen*: scenarios have six."""
-
-MAX_SHOWN = 60
-"""Characters of a value that a complaint shows. *Chosen*: a number, a name or a short list."""
 
 _STRINGS = re.compile(
     r"\"{3}(?:\\.|[^\\])*?\"{3}|'{3}.*?'{3}|\"(?:\\.|[^\"\\\n])*\"|'[^'\n]*'|#[^\n]*", re.DOTALL
@@ -32,6 +30,7 @@ _BRACKETS, _BETWEEN_KEYS = re.compile(r"[\[\]{}]"), re.compile(r"[^\w.-]+")
 
 def built_in_names(package: str) -> list[str]:
     """Names of the TOML files in a package, without their suffix, in alphabetical order."""
+    check_kind("built_in_names: package", package, str, "a name")
     return sorted(
         entry.name.removesuffix(".toml") for entry in files(package).iterdir() if entry.name.endswith(".toml")
     )
@@ -48,12 +47,15 @@ def built_in_text(package: str, name: str, noun: str) -> str:
     Raises:
         InputError: there is none of that name; the error lists those that there are.
     """
+    check_kind(noun, name, (str, Path), "a name or a file")
+    name = str(name)
     names = built_in_names(package)
     if name not in names:
+        meant = did_you_mean(name, names)
         raise InputError(
             f"{noun} {name!r}",
             "is a folder" if os.path.isdir(name) else "no such file, nor a built-in of that name",
-            f"a TOML file or one of {', '.join(names)}",
+            f"{meant} " * bool(meant) + f"a TOML file or one of {', '.join(names)}",
         )
     return files(package).joinpath(f"{name}.toml").read_text("utf-8")
 
@@ -101,74 +103,92 @@ def depth(text: str) -> int:
     return max(deepest, 1 + max(key.count(".") for key in keys))
 
 
-def put_value(tree: dict[str, Any], key: str, value: Any, where: str) -> None:
+def apply_settings(tree: dict[str, Any], settings: Iterable[str], example: str, see: str) -> dict[str, str]:
+    """Put settings such as `units.*.height_m=9` over a tree; a value is TOML, or plain text where it is none.
+
+    Args:
+        tree: the tree, which is changed.
+        settings: `KEY=VALUE` texts.
+        example: a good setting.
+        see: the command that shows all keys.
+
+    Returns:
+        `--set KEY` by key, to name the option as the place of a problem.
+
+    Raises:
+        InputError: a setting has no key or no value, or its key leads nowhere.
+    """
+    origins = {}
+    for setting in check_texts("settings", settings):
+        key, equals, text = setting.partition("=")
+        if not equals or not key.strip():
+            raise InputError(f"--set {setting}", "not of the form KEY=VALUE", f"such as --set {example}")
+        key = key.strip()
+        put_value(tree, key, _setting_value(text), f"--set {key}", see=see)
+        origins[key] = f"--set {key}"
+    return origins
+
+
+def _setting_value(text: str) -> Any:
+    try:
+        parsed = parse_toml(f"value = {text}", "--set", "")
+    except InputError:
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
+
+
+def put_value(
+    tree: dict[str, Any], key: str, value: Any, where: str, *, see: str = "skyherd scenario schema"
+) -> None:
     """Put a value at a dotted key such as `units.0.height_m`, where `*` is every item of a list.
+
+    Args:
+        tree: the tree, which is changed.
+        key: the dotted key.
+        value: the value, which is copied.
+        where: what to call the key in a problem.
+        see: the command that shows all keys.
 
     Raises:
         InputError: the key leads nowhere.
     """
+    check_kind(f"{where}: key", key, str, "a dotted key")
     *parents, last = key.strip().split(".")
     if len(parents) >= MAX_LEVELS:
-        raise InputError(where, f"more than {MAX_LEVELS} names", "see `skyherd scenario schema`")
+        raise InputError(where, f"more than {MAX_LEVELS} names", f"see `{see}`")
     nodes: list[Any] = [tree]
     for part in parents:
-        nodes = [child for node in nodes for child in _children(node, part, where)]
+        nodes = [child for node in nodes for child in _children(node, part, where, see)]
     for node in nodes:
-        for place in [last] if isinstance(node, dict) else _indices(node, last, where):
+        for place in [last] if isinstance(node, dict) else _indices(node, last, where, see):
             node[place] = deepcopy(value)
 
 
 def get_value(tree: dict[str, Any], key: str) -> Any:
     """The value at a dotted key of a complete tree, where `*` is the first item of a list."""
+    check_kind("get_value: key", key, str, "a dotted key")
     node: Any = tree
     for part in key.split("."):
         node = node[part] if isinstance(node, dict) else node[0 if part == "*" else int(part)]
     return node
 
 
-def _children(node: Any, part: str, where: str) -> list[Any]:
+def _children(node: Any, part: str, where: str, see: str) -> list[Any]:
     if isinstance(node, dict):
         return [node.setdefault(part, {})]
-    return [node[index] for index in _indices(node, part, where)]
+    return [node[index] for index in _indices(node, part, where, see)]
 
 
-def _indices(node: Any, part: str, where: str) -> list[int]:
+def _indices(node: Any, part: str, where: str, see: str) -> list[int]:
     """Which items of a list a part of a key means."""
-    if isinstance(node, list):
-        if part == "*":
-            return list(range(len(node)))
-        if part.isascii() and part.isdecimal() and len(part) < MAX_SHOWN and int(part) < len(node):
-            return [int(part)]
-    allowed = f"0 to {len(node) - 1}, or *" if isinstance(node, list) else "see `skyherd scenario schema`"
-    raise InputError(where, f"nothing there called {part!r}", allowed)
-
-
-def _shown(value: Any) -> str:
-    """A value in a complaint, shortened."""
-    try:
-        return shorten(repr(value), MAX_SHOWN)
-    except ValueError:
-        return "an integer of very many digits"
-
-
-def first_error(error: ValidationError, where: str, noun: str, *, see: str | None = None) -> InputError:
-    """Turn the first complaint of a validation into an error of one line.
-
-    Args:
-        error: what Pydantic raised.
-        where: the file, or what to call it.
-        noun: the verb of the command line whose `schema` shows what is allowed.
-        see: another command to name in place of `skyherd NOUN schema`.
-    """
-    first, *others = error.errors()
-    key = shorten(".".join(str(part) for part in first["loc"]) or noun, MAX_SHOWN)
-    value = first["input"]
-    shown = (
-        ""
-        if isinstance(value, dict | list) and first["type"] != "extra_forbidden"
-        else f" (given: {_shown(value)})"
+    if not isinstance(node, list):
+        raise InputError(
+            where, f"nothing is called {part!r} there", f"the part before it is not a table; see `{see}`"
+        )
+    if part == "*":
+        return list(range(len(node)))
+    if part.isascii() and part.isdecimal() and len(part) < MAX_SHOWN and int(part) < len(node):
+        return [int(part)]
+    raise InputError(
+        where, f"no item {part!r} in the list", f"0 to {len(node) - 1}, or *" if node else "the list is empty"
     )
-    allowed = f"{first['msg']}{shown}"
-    more = f" — and {len(others)} more" if others else ""
-    what = {"missing": "missing", "extra_forbidden": "unknown key"}.get(first["type"], "wrong value")
-    return InputError(f"{where}: {key}", what, f"{allowed}{more}; see `{see or f'skyherd {noun} schema'}`")

@@ -20,6 +20,7 @@ from skyherd.datasets.configuration.fields import (
     TurnRate,
     Zoom,
 )
+from skyherd.errors import InputError, join_errors
 
 LENS_CHECKS = 5
 """Zooms at which a lens is checked, from the least to the greatest. *Chosen*: what a lens does changes
@@ -83,8 +84,8 @@ class UnitModel(Model):
     tilt_deg: tuple[
         Annotated[FiniteFloat, Field(ge=-45, le=45)], Annotated[FiniteFloat, Field(ge=-45, le=45)]
     ] = Field((0.0, 0.0), description="deg; constant tilt about the camera's u and v axes")
-    sway: SwayModel | None = Field(None, description="how it sways; it hangs still if left out")
-    camera: CameraModel = Field(description="its camera, of which the controller gets the image size alone")
+    sway: SwayModel | None = Field(None, description="sway; none if left out")
+    camera: CameraModel = Field(description="its camera; the controller gets only the image size")
     zoom: list[tuple[NotNegative, Zoom]] = Field(
         default=[(0.0, 1.0)],
         min_length=1,
@@ -99,16 +100,16 @@ class UnitModel(Model):
         max_length=1000,
         description="spans [from, to] in s in which it is dead: no images, no messages, and no memory after",
     )
-    flight: FlightModel = Field(FlightModel(), description="how it flies")
+    flight: FlightModel = Field(FlightModel(), description="law of flight")
     frame_rate_hz: FrameRate = Field(10.0, description="Hz; images a second; at most one a time step")
     latency_s: NotNegative = Field(
         0.0,
-        description="s; from an image to the arrival of its goals and report; flight commands take no time",
+        description="s; delay from an image to the arrival of its goals and report; none for flight commands",
     )
 
-    clock_offset_s: ClockOffset = Field(0.0, description="s; what its clock shows at the start of the run")
+    clock_offset_s: ClockOffset = Field(0.0, description="s; reading of its clock at the start of the run")
     clock_drift_ppm: ClockDrift = Field(
-        0.0, description="millionths by which its clock is faster than the world's, or slower where negative"
+        0.0, description="ppm; drift of its clock against the world's; positive is fast"
     )
 
     @property
@@ -123,12 +124,18 @@ class UnitModel(Model):
         return [float(z) for z in np.geomspace(min(scripted) * low, max(scripted) * high, LENS_CHECKS)]
 
     @model_validator(mode="after")
-    def _zoom_in_order(self) -> Self:
+    def _in_order(self) -> Self:
+        problems = []
         times = [time for time, _ in self.zoom]
         if times != sorted(times):
-            raise ValueError("zoom: times must ascend")
-        if self.zoom_range[0] > self.zoom_range[1]:
-            raise ValueError("zoom_range: the least factor comes first")
-        if any(start >= end for start, end in self.outages):
-            raise ValueError("outages: each must end after it begins")
+            problems.append(InputError("zoom", f"times {times}", "times that ascend"))
+        low, high = self.zoom_range
+        if low > high:
+            problems.append(InputError("zoom_range", f"[{low:g}, {high:g}]", "the smaller factor first"))
+        for number, (start, end) in enumerate(self.outages):
+            if start >= end:
+                what = f"[{start:g}, {end:g}]"
+                problems.append(InputError(f"outages.{number}", what, "an end after the start"))
+        if problems:
+            raise join_errors(problems)
         return self

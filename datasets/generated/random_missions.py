@@ -13,6 +13,7 @@ from scipy.spatial.distance import pdist
 from skyherd.control import fit_similarity
 from skyherd.datasets.shapes.shapes import shape_points
 from skyherd.geometry import Array, ComplexArray, to_complex, to_points
+from skyherd.messages.checks import check_kind
 from skyherd.random_streams import RunStream, generator
 
 SIDE_M = 0.2
@@ -64,6 +65,7 @@ class Crowd:
 
 def random_crowd(rng: np.random.Generator, units: tuple[int, int] = (2, 8)) -> Crowd:
     """Draw a crowd: a number of units between two bounds, with 4 to 8 robots each."""
+    check_kind("random_crowd: rng", rng, np.random.Generator, "a numpy.random.Generator")
     count = int(rng.integers(units[0], units[1], endpoint=True))
     return Crowd(units=count, robots_a_unit=int(rng.integers(4, 8, endpoint=True)))
 
@@ -79,7 +81,8 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
         RuntimeError: no start was found, however often one was drawn.
     """
     rng = generator(seed, RunStream.RANDOM_MISSION)
-    crowd = crowd or random_crowd(rng)
+    crowd = random_crowd(rng) if crowd is None else crowd
+    check_kind("random_mission: crowd", crowd, Crowd, "a Crowd, or None")
     for _ in range(TRIES):
         centers, parents = _tree(rng, crowd)
         cameras = [random_camera(rng) for _ in centers]

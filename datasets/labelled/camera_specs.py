@@ -56,7 +56,7 @@ class LensBlurSpec(Model):
         (0.0, 0.0), description="marker sides; diameter of the opening, for discs that grow with the distance"
     )
     focus: Span[Annotated[FiniteFloat, Field(ge=0.1, le=10)]] = Field(
-        (1.0, 1.0), description="distance in focus over that of what is in the image's middle"
+        (1.0, 1.0), description="focus distance over the distance of the scene in the image's middle"
     )
 
 
@@ -96,4 +96,4 @@ class SensorSpec(Model):
         None, description="quality, 1 to 100, of a JPEG that images go through; none if left out"
     )
     lens_blur: LensBlurSpec = Field(LensBlurSpec(), description="defocus and coma")
-    processing: ProcessingSpec = Field(ProcessingSpec(), description="what cameras do to their images")
+    processing: ProcessingSpec = Field(ProcessingSpec(), description="image processing in the cameras")

@@ -26,7 +26,7 @@ from skyherd.datasets.labelled.read import Dataset, LabelledImage, read_dataset
 from skyherd.datasets.labelled.sampling import make_scene
 from skyherd.datasets.labelled.scenes import Scene
 from skyherd.errors import InputError
-from skyherd.files.reading import MAX_JSON_BYTES, read_bytes
+from skyherd.files.reading import MAX_JSON_BYTES, parse_json, read_bytes
 
 MAX_SHOWN = 60
 """Characters of a JSON value that a complaint shows. *Chosen*: a number or a name, and still one line."""
@@ -102,7 +102,7 @@ def _check_strangers(folder: Folder) -> Iterator[str]:
     for kind in ("images", "labels", "annotations"):
         for path in sorted((folder.path / kind).rglob("*")):
             if path not in known and not path.is_dir():
-                yield f"{path}: is no file of the set; trainers would take it for one"
+                yield f"{path}: is not a file of the set, but training tools would read it"
 
 
 def _check_table(dataset: Dataset) -> Iterator[str]:
@@ -177,9 +177,11 @@ def _line_difference(found: str, wanted: str) -> str:
 def _json_difference(found: str, wanted: str) -> str:
     """The first place, as a dotted key, in which a JSON document differs from the one wanted."""
     try:
-        document = json.loads(found)
-    except ValueError:
+        document = parse_json(found)
+    except json.JSONDecodeError:
         return "no JSON, or cut short"
+    except ValueError as error:
+        return str(error)
     nodes = [("", document, json.loads(wanted))]
     while nodes:
         key, here, there = nodes.pop()

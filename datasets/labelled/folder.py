@@ -18,7 +18,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from skyherd.datasets.configuration.toml_files import first_error
+from skyherd.datasets.configuration.file_kinds import DATASET
+from skyherd.datasets.configuration.validation import input_error
 from skyherd.datasets.labelled.spec import DatasetSpec, SpecFile
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
@@ -157,7 +158,7 @@ def _check_same(path: Path, file: SpecFile) -> None:
     """Refuse to put a set into the folder of another."""
     advice = "choose another --out, or remove that folder"
     if not _record(path).exists():
-        raise InputError(str(path), "holds something else than a data set", advice)
+        raise InputError(str(path), "is not the folder of a data set", advice)
     spec, record = _read_record(path)
     asked = _contents(file)
     if record.get("skyherd") != asked["skyherd"]:
@@ -175,7 +176,7 @@ def _read_record(path: Path) -> tuple[DatasetSpec, dict[str, Any]]:
         record = read_json(file, made)
         return DatasetSpec.model_validate_json(json.dumps(record["spec"])), record
     except ValidationError as error:
-        raise first_error(error, str(file), "dataset") from None
+        raise input_error(error, DatasetSpec, str(file), see=DATASET.schema) from None
     except InputError:
         raise
     except (ValueError, TypeError, KeyError):

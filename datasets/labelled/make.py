@@ -4,7 +4,6 @@ An image and its labels follow from spec and number alone. Images and labels tha
 are, so that an interrupted set that is made again is the same to the byte.
 """
 
-import signal
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -31,7 +30,9 @@ from skyherd.datasets.labelled.sampling import make_scene, station_number
 from skyherd.datasets.labelled.spec import SpecFile
 from skyherd.errors import OutputError
 from skyherd.files.atomic import write_text, write_whole
+from skyherd.jobs.lifetime import start_worker
 from skyherd.jobs.progress import NO_PROGRESS, Progress
+from skyherd.messages.checks import check_kind
 
 BATCH = 8
 """Most images that a worker is given at a time, all of one camera. *Chosen*: the ground of a camera takes as
@@ -54,6 +55,8 @@ def make_dataset(file: SpecFile, path: Path, *, jobs: int = 1, progress: Progres
         InputError: the folder holds something else.
         OutputError: something cannot be written.
     """
+    check_kind("make_dataset: file", file, SpecFile, "a SpecFile, as load_spec returns it")
+    check_kind("make_dataset: path", path, Path, "a path")
     with open_output(path, file) as (folder, output):
         for split in folder.splits():
             for kind in ("images", "labels"):
@@ -105,17 +108,17 @@ def _run(file: SpecFile, folder: Folder, jobs: int) -> Iterator[tuple[list[int],
                 yield futures[future], future.result()
         except BrokenProcessPool:
             raise OutputError(
-                f"{folder.path}: a worker was killed, perhaps for want of memory; "
-                "the same command goes on from here, with fewer --jobs if need be"
+                f"{folder.path}: a worker process was killed, possibly for lack of memory; "
+                "the same command continues from here, with fewer --jobs if necessary"
             ) from None
         finally:
             pool.shutdown(cancel_futures=True)
 
 
 def _start_worker() -> None:
-    """One thread a process; an interrupt is the parent's to handle."""
+    """Prepare a worker process: it ends with its parent, leaves an interrupt to it, and has one thread."""
+    start_worker()
     cv2.setNumThreads(1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _batches(file: SpecFile) -> list[list[int]]:

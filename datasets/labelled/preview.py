@@ -13,6 +13,7 @@ from skyherd.drawing.palette import INK, MUTED, PAPER, rgb
 from skyherd.files.atomic import write_whole
 from skyherd.inspection import Annotator
 from skyherd.messages import Detections
+from skyherd.messages.checks import check_count, check_kind
 
 COLUMNS, ROWS = 3, 3
 """Images side by side and one above the other. *Chosen*: nine show the variety, and each is still large
@@ -21,6 +22,9 @@ enough."""
 CELL_PX, GAP_PX, CAPTION_PX, FONT_PX = 600, 14, 26, 14
 """Width of an image on the sheet, gaps between images, height of a caption, size of its text; px. *Chosen* by
 eye."""
+
+MAX_CELLS = 100
+"""Greatest number of columns, and of rows. *Chosen*: a sheet of as many images needs 2 GB."""
 
 Picture = npt.NDArray[np.uint8]
 """RGB image (height, width, 3)."""
@@ -43,6 +47,9 @@ def draw_preview(dataset: Dataset, columns: int = COLUMNS, rows: int = ROWS) -> 
     Raises:
         InputError: an image of the set is damaged or not there.
     """
+    check_kind("draw_preview: dataset", dataset, Dataset, "a Dataset, as read_dataset returns it")
+    check_count("draw_preview: columns", columns, least=1, most=MAX_CELLS)
+    check_count("draw_preview: rows", rows, least=1, most=MAX_CELLS)
     count = min(columns * rows, len(dataset))
     columns, rows = min(columns, count), -(-count // min(columns, count))
     width, height = dataset.spec.size_px

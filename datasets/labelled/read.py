@@ -84,7 +84,7 @@ def read_dataset(path: Path | str) -> Dataset:
             str(folder.images), f"not the {len(names)} images of its spec, in order", "make it again"
         )
     if strangers := sorted(labels.keys() - set(names)):
-        raise InputError(str(folder.truth), f"{strangers[0]} is no image of the set", "make it again")
+        raise InputError(str(folder.truth), f"{strangers[0]} is not an image of the set", "make it again")
     images = (
         LabelledImage(
             name=name,

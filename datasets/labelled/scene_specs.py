@@ -4,10 +4,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, FiniteFloat, model_validator
 
-from skyherd.datasets.configuration.fields import MAX_ROBOTS, Model, Positive, Share
+from skyherd.datasets.configuration.fields import MAX_ROBOTS, DictionaryName, Model, Positive, Share
 from skyherd.datasets.configuration.robot_models import MarkerId
 from skyherd.datasets.configuration.scene_models import Grey
 from skyherd.datasets.labelled.ranges import Span
+from skyherd.errors import InputError
 from skyherd.markers.dictionary import dictionary_size
 
 Side = Annotated[FiniteFloat, Field(ge=6, le=2000)]
@@ -17,7 +18,9 @@ Side = Annotated[FiniteFloat, Field(ge=6, le=2000)]
 class MarkersSpec(Model):
     """The markers of an image; all have one size on the ground, and no two cards touch."""
 
-    dictionary: str = Field("4X4_50", description="marker dictionary, named as in `skyherd markers --help`")
+    dictionary: DictionaryName = Field(
+        "4X4_50", description="marker dictionary, named as in `skyherd markers --help` or in OpenCV"
+    )
     ids: list[MarkerId] | None = Field(
         None,
         min_length=1,
@@ -39,11 +42,14 @@ class MarkersSpec(Model):
         most = dictionary_size(self.dictionary)
         ids = self.ids if self.ids is not None else range(most)
         if len(set(ids)) != len(ids) or max(ids) >= most:
-            raise ValueError(f"ids must be from 0 to {most - 1} in {self.dictionary}, and each once")
+            raise InputError(
+                "ids", "a repeated or unknown id", f"0 to {most - 1} in {self.dictionary}, each once"
+            )
         if self.count[1] > len(ids):
-            raise ValueError(f"count goes to {self.count[1]}, but there are {len(ids)} different markers")
+            raise InputError("count", f"up to {self.count[1]}", f"at most {len(ids)}, the number of markers")
         if self.black[1] >= self.white[0]:
-            raise ValueError("black must be darker than white over the whole of their ranges")
+            what = f"up to {self.black[1]:g}, with white from {self.white[0]:g}"
+            raise InputError("black", what, "darker than white over the whole of both ranges")
         return self
 
 
@@ -65,7 +71,7 @@ class GroundSpec(Model):
     @model_validator(mode="after")
     def _some(self) -> Self:
         if not self.kinds and not self.images:
-            raise ValueError("give at least one of kinds and images")
+            raise InputError("", "neither kinds nor images given", "at least one of the two")
         return self
 
 

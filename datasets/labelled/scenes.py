@@ -27,6 +27,7 @@ from skyherd.render import (
     Ground,
     Motion,
     Renderer,
+    Shot,
     footprint_m,
     project_markers,
 )
@@ -134,13 +135,15 @@ class Scene:
             lens_blur=sensor.lens_blur.make(),
         )
         return renderer.render(
-            self.camera,
-            self.pose,
-            self.ids,
-            self.positions_m,
-            self.headings_rad,
-            motion=self.motion,
-            occluders=[occluder.make() for occluder in self.occluders],
+            Shot(
+                self.camera,
+                self.pose,
+                self.ids,
+                self.positions_m,
+                self.headings_rad,
+                motion=self.motion,
+                occluders=[occluder.make() for occluder in self.occluders],
+            )
         )
 
     def bounds(self) -> Array:

@@ -8,6 +8,7 @@ from skyherd.datasets.shapes.words import PREFIX, word_points
 from skyherd.errors import InputError
 from skyherd.geometry import Array
 from skyherd.messages.checks import check_count, check_kind
+from skyherd.text import one_of
 
 STAR_INNER_RATIO = 0.515
 """Inner over outer radius of the star. *Derived* from the paper's second simulation: 4.12 / 8."""
@@ -90,5 +91,5 @@ def shape_points(name: str, count: int) -> Array:
     if name.startswith(PREFIX):
         return word_points(name.removeprefix(PREFIX), count)
     if name not in SHAPES:
-        raise InputError("template.shape", f"no shape {name!r}", f"one of {', '.join(SHAPES)}, {PREFIX}SKY")
+        raise InputError("template.shape", f"no shape {name!r}", f"{one_of(name, SHAPES)}, {PREFIX}SKY")
     return SHAPES[name](count)

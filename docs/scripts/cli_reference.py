@@ -6,6 +6,7 @@ from typing import Any
 import typer
 
 from skyherd.cli import app
+from skyherd.cli.help import parameter_rows
 
 INTRODUCTION = """\
 # Command line
@@ -48,9 +49,9 @@ def section(name: str, verb: Any) -> Iterator[str]:
     yield f"## `{name}`\n"
     yield f"{verb.help}\n"
     yield f"```\n{' '.join(verb.get_usage(context).removeprefix('Usage: ').split())}\n```\n"
-    records = filter(None, (parameter.get_help_record(context) for parameter in verb.params))
+    arguments, options = parameter_rows(verb, context)
     rows = []
-    for words, meaning in records:
+    for words, meaning in [*arguments, *options]:
         text = in_cell(meaning).replace("[", r"\[")  # a bracket would begin a link
         rows.append(f"| `{in_cell(words)}` | {text} |")
     if rows:

@@ -11,6 +11,7 @@ import numpy as np
 from skyherd.datasets import load_mission
 from skyherd.drawing.canvas import draw_text
 from skyherd.drawing.palette import INK, PAPER, rgb
+from skyherd.render import Shot
 from skyherd.sim.perception import make_renderer
 from skyherd.sim.physics import make_world
 
@@ -26,8 +27,8 @@ def picture(name: str) -> np.ndarray:
     camera, pose, markers = world.cameras[UNIT], world.camera_pose(UNIT), world.markers
     team = markers.ids, markers.positions_m, markers.headings_rad
     for _ in range(WARM_UP):
-        image = renderer.render(camera, pose, *team, stream=UNIT)
-    centers = renderer.truth(camera, pose, *team).centers_px
+        image = renderer.render(Shot(camera, pose, *team, stream=UNIT))
+    centers = renderer.truth(Shot(camera, pose, *team)).centers_px
     middle = (np.array(camera.size_px) - 1) / 2
     u, v = centers[np.linalg.norm(centers - middle, axis=1).argmin()].astype(int) - CROP_PX // 2
     part = image[v : v + CROP_PX, u : u + CROP_PX]

@@ -11,7 +11,7 @@ from PIL import Image
 
 from skyherd.inspection import Annotator
 from skyherd.markers.dictionary import corners_of_pose, marker_cells
-from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.vision import create_detector, explain
 
 DICTIONARY, SIZE_PX = "4X4_50", (960, 600)
@@ -27,7 +27,7 @@ def draw_markers(
         pose = CameraPose((0.0, 0.0), FOCAL_PX / side_px)
         place = np.array([[u - (SIZE_PX[0] - 1) / 2, (SIZE_PX[1] - 1) / 2 - v]]) / side_px
         drawn = renderer.render(
-            Camera(SIZE_PX, FOCAL_PX), pose, np.array([marker_id]), place, np.radians([-heading])
+            Shot(Camera(SIZE_PX, FOCAL_PX), pose, np.array([marker_id]), place, np.radians([-heading]))
         )
         card = corners_of_pose([[u, v]], np.radians([heading]), [side_px * 1.34])
         mask = cv2.fillPoly(np.zeros(image.shape, np.uint8), [np.rint(card[0]).astype(np.int32)], 255)

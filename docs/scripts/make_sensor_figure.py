@@ -25,6 +25,7 @@ from skyherd.render import (
     Quad,
     Renderer,
     Sensor,
+    Shot,
     Shutter,
 )
 
@@ -64,7 +65,7 @@ def draw(
     )
     camera = Camera(SIZE_PX, FOCAL_PX, distortion=distortion or Distortion())
     over = [Disc((0.2, 1.0), 0.6, 60.0), Quad([[2.0, -1.6], [4.0, -1.0], [3.8, -0.4], [1.8, -1.0]], 190.0)]
-    return renderer.render(camera, pose, *team(), motion=MOTION, occluders=over if covered else ())
+    return renderer.render(Shot(camera, pose, *team(), motion=MOTION, occluders=over if covered else ()))
 
 
 def sensor(noise: float = 0.0, jpeg_quality: int | None = None, shot: float = 0.0, **light: float) -> Sensor:

@@ -10,11 +10,14 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from api_reference import ROOT, api_page, overview, packages
+from api_reference import ROOT, api_page, overview, packages, public_page
 from cli_reference import cli_reference
+from formulas import with_mathml
 from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.exceptions import PluginError
 from mkdocs.plugins import event_priority
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 from scenario_reference import scenario_reference
 
 API = "reference/api"
@@ -24,6 +27,10 @@ ROOT_PAGES = {
     "changelog.md": "CHANGELOG.md",
     "security.md": "SECURITY.md",
 }
+INTERNALS = "Internals"
+SEARCH_BOOSTS = {"Home": 3.0, "How to": 3.0, "Guides": 2.0, "Live": 2.0, "Reference": 1.0, INTERNALS: 0.3}
+"""Factor on the search score of a page, by its innermost section that is listed. Chosen: guides first, then
+references, then the pages of internal modules, which repeat every term."""
 PARTS = ("control", "datasets", "render", "vision")
 _temporary: list[Path] = []
 
@@ -40,10 +47,11 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
     ignore = shutil.ignore_patterns("__pycache__")
     shutil.copytree(ROOT / "src/skyherd", tree / "skyherd", ignore=ignore)
     for part in PARTS:
+        shutil.rmtree(tree / "skyherd" / part, ignore_errors=True)  # the copy of an editor's link
         shutil.copytree(ROOT / part, tree / "skyherd" / part, ignore=ignore)
     config.plugins["mkdocstrings"].config.handlers["python"]["paths"] = [str(tree)]
     library = next(entry["Reference"] for entry in config.nav if "Reference" in entry)
-    library.append({"Library": [f"{API}/index.md", *(f"{API}/{package}.md" for package in packages())]})
+    library.append({INTERNALS: [f"{API}/index.md", *(f"{API}/{package}.md" for package in packages())]})
     return config
 
 
@@ -52,6 +60,7 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
     made = {
         "reference/cli.md": cli_reference(),
         "reference/scenario.md": scenario_reference(),
+        "reference/library.md": public_page(),
         f"{API}/index.md": overview(),
         **{f"{API}/{package}.md": api_page(package, folder) for package, folder in packages().items()},
         **{page: from_root((ROOT / name).read_text()) for page, name in ROOT_PAGES.items()},
@@ -61,8 +70,29 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
     return files
 
 
+def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Set how high the search ranks a page, and link the repository on the home page."""
+    sections = [section.title for section in page.ancestors]
+    boosts = [SEARCH_BOOSTS[title] for title in sections if title in SEARCH_BOOSTS]
+    page.meta.setdefault("search", {}).setdefault("boost", boosts[0] if boosts else 1.0)
+    link = f"[Repository]({config.repo_url}) · " if config.repo_url else ""
+    return markdown.replace("<!-- repository -->", link)
+
+
+def on_page_content(html: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Put MathML in the place of TeX.
+
+    Raises:
+        PluginError: a formula of the page cannot be converted.
+    """
+    try:
+        return with_mathml(html)
+    except ValueError as error:
+        raise PluginError(f"{page.file.src_uri}: {error}") from error
+
+
 def from_root(text: str) -> str:
-    """A page from the repository's root with links that work on the site."""
+    """Return a page of the repository's root with links that work on the site."""
     names = {name: page for page, name in ROOT_PAGES.items()}
     text = re.sub(r"\]\(docs/", "](", text)
     return re.sub(r"\]\(([A-Z]+\.md)", lambda match: f"]({names.get(match[1], match[1])}", text)

@@ -23,6 +23,7 @@ import numpy.typing as npt
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, apply_homography, inverse
+from skyherd.messages.checks import check_kind
 from skyherd.render.camera.fisheye import Equidistant
 from skyherd.render.camera.lens import NO_DISTORTION, Distortion
 from skyherd.render.camera.lens_displacement import LensField
@@ -69,6 +70,9 @@ class Camera:
                 f"size {self.size_px}, focal_px {self.focal_px}, aspect {self.aspect}",
                 "all must be positive",
             )
+        check_kind(
+            "Camera.distortion", self.distortion, (Distortion, Equidistant), "a Distortion or Equidistant"
+        )
         if self.distortion:
             self._check_lens()
 
@@ -137,6 +141,8 @@ def homography_image_ground(camera: Camera, pose: CameraPose) -> Array:
 
     It is -1 where the ground's origin lies behind the camera, since the last row is positive before it.
     """
+    check_kind("homography_image_ground: camera", camera, Camera, "a Camera")
+    check_kind("homography_image_ground: pose", pose, CameraPose, "a CameraPose")
     rotation = rotation_camera_world(pose)
     center = np.array([*pose.position_m, pose.height_m])
     matrix = camera.intrinsic_matrix(pose.zoom) @ np.column_stack([rotation[:, :2], -rotation @ center])
@@ -163,6 +169,7 @@ def undistort(camera: Camera, zoom: float, points_px: Array) -> Array:
     Raises:
         InputError: a pixel shows no ray, since the lens folds the image there.
     """
+    check_kind("undistort: camera", camera, Camera, "a Camera")
     if not camera.distortion:
         return points_px
     matrix = camera.intrinsic_matrix(zoom)
@@ -210,6 +217,8 @@ def project(camera: Camera, pose: CameraPose, points_m: npt.ArrayLike) -> Array:
 
     The points have to lie before the camera's horizon; others come out mirrored through it.
     """
+    check_kind("project: camera", camera, Camera, "a Camera")
+    check_kind("project: pose", pose, CameraPose, "a CameraPose")
     return distort(camera, pose.zoom, apply_homography(homography_image_ground(camera, pose), points_m))
 
 

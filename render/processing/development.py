@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import InputError
+from skyherd.geometry import Image
 from skyherd.render.processing.mosaic import NO_MOSAIC, Mosaic
 from skyherd.render.processing.smoothing import denoise, sharpen
 from skyherd.render.processing.tone import luma, raw_signal
@@ -16,8 +17,6 @@ from skyherd.render.processing.tone import luma, raw_signal
 Light = npt.NDArray[np.float32]
 """What the pixels gathered, noise and all, in grey levels, (height, width)."""
 
-Image = npt.NDArray[np.uint8]
-"""Grey levels (height, width)."""
 
 BOUNDS = {
     "gamma": (0.2, 5.0),

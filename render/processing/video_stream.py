@@ -4,11 +4,9 @@ from fractions import Fraction
 
 import av
 import numpy as np
-import numpy.typing as npt
 from av.codec.context import Flags
 
-Image = npt.NDArray[np.uint8]
-"""Grey levels (height, width)."""
+from skyherd.geometry import Image
 
 PRESET, TUNE = "veryfast", "zerolatency"
 """Settings of libx264. *Chosen*: cameras encode fast and send each picture at once, without looking ahead, so

@@ -5,6 +5,8 @@ first used, so that the import itself costs nothing. Everything else is in the p
 turns detections into commands, `skyherd.vision` turns images into detections, `skyherd.render` draws images
 of a world, and `skyherd.datasets` has scenarios, shapes and labelled image sets.
 
+The library logs under the logger `skyherd`, and is silent unless a handler is added.
+
 Examples:
     >>> import skyherd
     >>> mission = skyherd.load_mission("triangle", ["perception=ideal", "duration_s=1.0"])
@@ -13,6 +15,7 @@ Examples:
     1.0
 """
 
+import logging
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -96,6 +99,8 @@ _NAMES_BY_MODULE = {
 """Names imported from each module; a test compares them with the imports above."""
 
 _MODULE_BY_NAME = {name: module for module, names in _NAMES_BY_MODULE.items() for name in names}
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())
 
 
 def __getattr__(name: str) -> object:

@@ -1,8 +1,8 @@
 """Round bodies on the ground: gaps between robots, and between robots and obstacles.
 
-Bodies are discs about the centres of their markers. This is the only definition of a gap. The start check,
-the summary's collision count and the video use it. It is ground truth in metres. The controller knows bodies
-only through marker sides in images (`skyherd.control.avoidance.proximity`).
+Bodies are discs about the centres of their markers. This definition of a gap is used by the check of a start,
+the summary's count of collisions and the video. It is ground truth in metres. The controller knows bodies
+only by marker sides in images (`skyherd.control.avoidance.proximity`).
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from skyherd.geometry import Array, IntArray
 class Bodies:
     """Robots with bodies of one radius, and K static obstacles.
 
-    The methods number the N robots 0 to N - 1 and the obstacles N to N + K - 1. Pairs come in one order: all
+    The methods number the N robots 0 to N - 1 and the obstacles N to N + K - 1. Pairs have a fixed order: all
     pairs of robots first, then each robot with each obstacle. Two obstacles form no pair; they may touch.
 
     Attributes:
@@ -31,17 +31,17 @@ class Bodies:
     obstacle_radii_m: Array
 
     def pairs(self, count: int) -> IntArray:
-        """Return the numbers (P, 2) of the bodies of each pair, `P = N (N - 1) / 2 + N K`, N = `count`."""
+        """Return the body numbers (P, 2) of each pair, `P = N (N - 1) / 2 + N K` for N = `count` robots."""
         robots = np.stack(np.triu_indices(count, 1), axis=1)
         first, second = np.meshgrid(np.arange(count), count + np.arange(len(self.obstacles_m)), indexing="ij")
         return np.concatenate([robots, np.stack([first.ravel(), second.ravel()], axis=1)])
 
     def gaps_m(self, positions_m: Array) -> Array:
-        """Return the gaps (P,) of all pairs for robots at positions (N, 2); overlaps are negative."""
+        """Return gaps (P,), m, of each pair for robots at positions (N, 2); negative in an overlap."""
         robots = pdist(positions_m) - 2 * self.radius_m
         obstacles = cdist(positions_m, self.obstacles_m) - (self.radius_m + self.obstacle_radii_m)
         return np.concatenate([robots, obstacles.ravel()])
 
     def overlapping(self, positions_m: Array, tolerance_m: float = 0.0) -> IntArray:
-        """Return the numbers (Q, 2) of the pairs that overlap by more than `tolerance_m`."""
+        """Return the body numbers (Q, 2) of the pairs that overlap by more than `tolerance_m`."""
         return self.pairs(len(positions_m))[self.gaps_m(positions_m) < -tolerance_m]

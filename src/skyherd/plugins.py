@@ -1,5 +1,6 @@
-"""Import of user code named `module:factory`, also from the working directory."""
+"""Plugins of the user, given as `module:factory`; the working directory is part of the import path."""
 
+import logging
 import os
 import sys
 from collections.abc import Callable
@@ -8,18 +9,20 @@ from typing import Any, cast
 
 from skyherd.errors import InputError
 
+_log = logging.getLogger(__name__)
+
 
 def import_factory(name: str, where: str, allowed: str) -> Callable[..., Any]:
-    """Import the callable named by `module:factory`, also from the working directory.
+    """Import the callable given as `module:factory`, also from the working directory.
 
     Args:
         name: `module:factory`.
-        where: name in error messages, such as `detector own:Square`.
-        allowed: description of the required factory.
+        where: its name in an error, such as `detector own:Square`.
+        allowed: description of an allowed factory.
 
     Raises:
-        InputError: a part of the name is missing, the import fails, or the attribute is missing or not
-            callable.
+        InputError: the name lacks a part, the module cannot be imported, has no such attribute, or the
+            attribute is not callable.
     """
     module_name, _, factory_name = name.partition(":")
     if not module_name or not factory_name:
@@ -37,4 +40,5 @@ def import_factory(name: str, where: str, allowed: str) -> Callable[..., Any]:
     factory = getattr(module, factory_name)
     if not callable(factory):
         raise InputError(where, f"{factory_name!r} is not callable", allowed)
+    _log.info("%s is %s of %s", where, factory_name, getattr(module, "__file__", None) or module_name)
     return cast(Callable[..., Any], factory)

@@ -1,8 +1,9 @@
-"""Random number streams, one per purpose, all derived from one seed and listed here.
+"""Streams of random numbers: one per purpose, all from one seed, defined only here.
 
 A stream's number is part of the seed sequence of NumPy's generator. Streams are therefore independent, and
-more draws from one stream change no other stream. Two purposes with one number would draw the same values:
-`unique` rejects that on import.
+drawing more from one changes no other. The same seed gives the same numbers for a purpose, independent of the
+other parts of a run. Two purposes with one number would draw the same numbers: `unique` rejects that at
+import.
 """
 
 from enum import IntEnum, unique
@@ -12,9 +13,9 @@ import numpy as np
 
 @unique
 class RunStream(IntEnum):
-    """Streams of random numbers of a scenario or a generated mission.
+    """Purposes of random numbers from the seed of a scenario or a generated mission.
 
-    Numbers never change, so that a seed gives the same run in every version.
+    A number never changes, so that a seed gives the same run in every version.
     """
 
     START_PLACES = 0
@@ -25,7 +26,7 @@ class RunStream(IntEnum):
     WHEEL_SLIP = 5
     SWAY = 6
     ROBOT_CLOCKS = 7
-    TOLD_POSITIONS = 8
+    REPORTED_POSITIONS = 8
     RANDOM_MISSION = 71
     STAR_MISSION = 73
     CROWDED_MISSION = 79
@@ -33,7 +34,7 @@ class RunStream(IntEnum):
 
 @unique
 class LabelledSetStream(IntEnum):
-    """Streams of random numbers of a labelled image set."""
+    """Purposes of random numbers from the seed of a labelled image set."""
 
     CAMERA = 0
     IMAGE = 1
@@ -42,5 +43,5 @@ class LabelledSetStream(IntEnum):
 
 
 def generator(seed: int, stream: RunStream | LabelledSetStream, *number: int) -> np.random.Generator:
-    """Return the generator of a stream; `number` distinguishes several of one kind, such as cameras."""
+    """Return the generator of a stream; `number` distinguishes several of a kind, such as cameras."""
     return np.random.default_rng([seed, int(stream), *number])

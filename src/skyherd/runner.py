@@ -136,7 +136,7 @@ def run_mission(
             raise
         except OSError as error:
             what = f"{error.filename or folder}: {error.strerror or error}"
-            left = "free some space; `skyherd report` shows what was recorded"
+            left = "free some space; `skyherd report` shows the recorded part"
             raise OutputError(f"{what}; {left}") from None
 
 

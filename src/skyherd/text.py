@@ -6,6 +6,8 @@ and the end of a long text.
 """
 
 import unicodedata
+from collections.abc import Iterable
+from difflib import get_close_matches
 
 SURROGATES = range(0xDC80, 0xDD00)
 """Code points of the bytes 0x80 to 0xff of a name that is not UTF-8. *Defined* by Python's error handler
@@ -14,6 +16,9 @@ SURROGATES = range(0xDC80, 0xDD00)
 HIDDEN = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
 """Escaped Unicode categories: control and format characters, surrogates, line and paragraph separators.
 *Chosen*: everything that a terminal interprets or does not show."""
+
+MAX_COMPARED = 60
+"""Characters of a name that are compared with known names. *Chosen*: longer than any known name."""
 
 FORMULA_STARTS = ("=", "+", "-", "@")
 """First characters that make spreadsheets read a text as a formula. *Defined* by the spreadsheets."""
@@ -57,3 +62,16 @@ def table_cell(text: str) -> str:
     """
     text = printable(text)
     return f"'{text}" if text.startswith(FORMULA_STARTS) else text
+
+
+def did_you_mean(name: str, known: Iterable[object]) -> str:
+    """Return `did you mean 'k'?` for the known name that is most like a name; empty if none is like it."""
+    lower = {str(one).lower(): str(one) for one in known}
+    close = get_close_matches(shorten(name.lower(), MAX_COMPARED), lower, 1)
+    return f"did you mean {lower[close[0]]!r}?" if close else ""
+
+
+def one_of(name: str, known: Iterable[object]) -> str:
+    """Return the known names as a problem lists them, after the one that is most like a wrong name."""
+    names = list(map(str, known))
+    return " ".join(filter(None, (did_you_mean(name, names), f"one of {', '.join(names)}")))

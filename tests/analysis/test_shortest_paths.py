@@ -98,6 +98,7 @@ def test_six_robots_stay_within_one_percent_of_optimum(seed: int) -> None:
     assert -6e-6 <= excess <= (0.01 * best if seed == 0 else 6e-6)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("seed", range(5))
 def test_start_in_shape_has_zero_length(seed: int) -> None:
     """Any order, position, size and rotation, to rounding."""

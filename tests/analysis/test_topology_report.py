@@ -42,6 +42,7 @@ def breaches(*sets: list[int]) -> dict[int, list[str]]:
 PATH = ([10, 11, 12, 13], [12, 13, 14, 15], [14, 15, 16, 17])
 
 
+@pytest.mark.smoke
 def test_path_graph_has_no_breach() -> None:
     report = report_of(*PATH)
     assert report.breaches == []

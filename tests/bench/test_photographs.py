@@ -180,7 +180,7 @@ def test_command_writes_all_outputs(folder, tmp_path, capsys):
         ("[desk]\nfiles = ['*.png']", ["[desk]: dictionary", "missing"]),
         ("[desk]\nfiles = []\ndictionary = '4X4_50'", ["files"]),
         ("[desk]\nfiles = ['*.png']\ndictionary = '4X4_50'\nborder = 2", ["border", "unknown key"]),
-        ("desk = 3", ["no table"]),
+        ("desk = 3", ["is not a table"]),
         ("[desk", ["malformed TOML"]),
         ("[desk]\nfiles = ['*.bmp']\ndictionary = '4X4_50'", ["no image of the sets"]),
         (None, ["photographs.toml"]),
@@ -204,7 +204,7 @@ def test_detector_without_marker_options_reads_no_set():
     readers, refused = make_readers(["opencv", "apriltag3"], "4X4_50", {})
     assert list(readers) == ["opencv"] and "does not know 4X4_50" in refused["apriltag3"]
     readers, refused = make_readers(["apriltag3", "locus-tag"], "APRILTAG_36h11", {"shape": "round"})
-    assert readers == {} and refused["locus-tag"] == "takes no shape"
+    assert readers == {} and refused["locus-tag"] == "does not support shape"
 
 
 def test_video_images_are_every_nth_frame(tmp_path):

@@ -111,6 +111,7 @@ def test_heading_errors_wrap():
     assert result.rmse_deg == pytest.approx(np.degrees(0.02))
 
 
+@pytest.mark.smoke
 def test_ratio_uses_bound_of_same_markers():
     """The one of two markers with the wide bound is missed: only the other's counts."""
     wide, narrow = frame([1], [(0, 0)], bound=(9, 9, 9)), frame([1], [(0, 0)], bound=(0.1, 0.3, 0.01))

@@ -56,8 +56,8 @@ def test_a_signal_that_was_ignored_stays_ignored():
         (["scenario", "check", "star"], "skyherd.datasets.load_mission", "nothing is left of it"),
         (["run", "star"], "skyherd.runner.run_mission", "nothing is left of it"),
         (["detect", "a.png"], "skyherd.inspection.Inspector.inspect", "nothing is left of it"),
-        (["dataset", "make", "small"], "skyherd.datasets.labelled.make.make_dataset", "goes on from here"),
-        (["study", "noise", "--quick"], "skyherd.study.conduct.conduct", "goes on from here"),
+        (["dataset", "make", "small"], "skyherd.datasets.labelled.make.make_dataset", "continues from here"),
+        (["study", "noise", "--quick"], "skyherd.study.conduct.conduct", "continues from here"),
         (["bench", "detectors"], "skyherd.bench.execution.measure_cells", "nothing is left of it"),
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, list) else "",
@@ -91,7 +91,7 @@ def test_an_interrupted_run_leaves_its_recording_and_no_part(tmp_path, monkeypat
     code, _, err = call(capsys, "run", "triangle", "--out", out, "--perception", "ideal")
     assert (code, err) == (
         130,
-        f"error: interrupted; what was recorded can be seen with `skyherd report {out}`\n",
+        f"error: interrupted; the recorded part can be shown by `skyherd report {out}`\n",
     )
     assert sorted(path.name for path in out.iterdir()) == [".skyherd.json", "run.mcap"]
     assert len(read_recording(out / "run.mcap").steps) == 3

@@ -15,6 +15,7 @@ import skyherd
 from skyherd.__main__ import main
 from skyherd.cli import choices
 from skyherd.inspection.table import FORMATS
+from skyherd.markers.dictionary import canonical_name, dictionary_names
 from skyherd.markers.sheet_layout import PAPERS_MM
 from skyherd.vision import detector_names
 
@@ -139,6 +140,7 @@ def test_the_lists_for_help_and_completion_are_those_of_the_code():
     assert list(choices.DETECTORS) == detector_names()
     assert list(choices.PAPERS) == list(PAPERS_MM)
     assert choices.TABLE_FORMATS == FORMATS
+    assert sorted(choices.DICTIONARIES) == sorted({canonical_name(name) for name in dictionary_names()})
 
 
 def test_the_help_names_what_an_option_takes(capsys):
@@ -147,7 +149,7 @@ def test_the_help_names_what_an_option_takes(capsys):
     )  # lines end at hyphens, too
     assert all(name in said for name in detector_names())
     said = " ".join(call(capsys, "markers", "--help")[1].split())
-    assert all(name in said for name in PAPERS_MM)
+    assert all(name in said for name in (*PAPERS_MM, *choices.DICTIONARIES))
 
 
 @pytest.fixture(params=["here", pytest.param("in a process of its own", marks=pytest.mark.slow)])

@@ -81,6 +81,7 @@ def test_a_run_leaves_all_it_promises(tmp_path, capsys, monkeypatch, figures):
     assert summary["steps"] == 11
 
 
+@pytest.mark.smoke
 def test_reaching_the_shape_is_exit_code_0(tmp_path, capsys):
     """A goal so wide that the start is within it."""
     wide = ["--set", "goal.shape_error=9", "--set", "goal.hold_s=0.5"]
@@ -217,8 +218,19 @@ def test_a_disk_that_fills_up_later_leaves_what_was_recorded(tmp_path, capsys, m
         (["run", "star", "--perception", "psychic"], ["perception", "psychic", "rendered"]),
         (["run", "star", "--seed", "many"], ["--seed", "integer"]),
         (["run", "star", "--set", "marker.side_m=nan"], ["marker.side_m", "finite"]),
+        (["run", "star", "--set", 'description="\udcff"'], [r'description="\xff"', "UTF-8"]),
+        (["scenario", "check", "star", "--set", "\udcff=1"], [r"\xff", "UTF-8"]),
+        (["live", "check", "webcams", "--set", "team=\udcff"], [r"\xff", "UTF-8"]),
+        (
+            ["scenario", "check", "star", "--set", "units.0.camera.preset=[1]"],
+            ["camera.preset", "a text in quotes"],
+        ),
+        (
+            ["scenario", "check", "star", "--set", "units.0.camera.preset={}"],
+            ["camera.preset", "a text in quotes"],
+        ),
         (["run", "star", "--colour"], ["--colour"]),
-        (["run"], ["Missing", "scenario"]),
+        (["run"], ["Missing", "SCENARIO"]),
         (["report", "no-such-folder"], ["no-such-folder", "no such folder"]),
         (["scenario", "show", "nothing"], ["nothing", "star"]),
         (["scenario", "check", "nothing.toml"], ["nothing.toml"]),
@@ -257,7 +269,7 @@ def test_a_camera_that_sees_no_robot_is_warned_about_and_not_refused(tmp_path, c
 def test_goals_forgotten_between_two_images_are_warned_about(tmp_path, capsys):
     slow = ["--set", "units.1.frame_rate_hz=1"]
     assert (
-        "warning: unit 1 takes an image less often"
+        "warning: unit 1 takes images less often than robots.timeout_s"
         in call(capsys, "run", "star", "--out", tmp_path / "run", *SHORT, *slow)[2]
     )
 

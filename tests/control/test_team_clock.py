@@ -1,4 +1,4 @@
-"""The team's time: bounded by the leading clock, never behind a message by more than its extra delay."""
+"""The team's time: bounded by the leading clock, behind a message by at most its excess delay."""
 
 from dataclasses import dataclass, field
 
@@ -16,7 +16,7 @@ MIN_S = 0.1
 
 @dataclass
 class Member:
-    """A member of a team with a clock that is off and drifts."""
+    """Member of a team whose clock has an offset and drifts."""
 
     offset_s: float
     rate: float
@@ -34,8 +34,8 @@ MEMBERS = st.lists(st.tuples(st.floats(-20, 20), st.floats(-1e-4, 1e-4)), min_si
 
 
 @given(clocks=MEMBERS, seed=st.integers(0, 1000))
-def test_no_member_runs_ahead_of_the_leading_clock_nor_lags_behind_a_message(clocks, seed) -> None:
-    """60 s of messages at random, a third of them lost, each up to 0.3 s later than the fastest."""
+def test_team_time_is_bounded_by_leading_clock_and_delay(clocks, seed) -> None:
+    """60 s of messages at random, with message loss of one third, each up to 0.3 s later than the fastest."""
     rng = np.random.default_rng(seed)
     members = [Member(offset_s, 1 + drift) for offset_s, drift in clocks]
     flying, last_s = [], [-np.inf] * len(members)
@@ -50,26 +50,26 @@ def test_no_member_runs_ahead_of_the_leading_clock_nor_lags_behind_a_message(clo
         for number, member in enumerate(members):
             team_s = member.team_s(time_s)
             assert team_s <= leading_s + 1e-4 * MIN_S * 300 + 1e-9
-            assert team_s >= last_s[number] + 0.2 * (1 - 1e-4 - DRIFT) - 1e-9, "it never goes back"
+            assert team_s >= last_s[number] + 0.2 * (1 - 1e-4 - DRIFT) - 1e-9, "it is monotonic"
             last_s[number] = team_s
             to = int(rng.integers(len(members)))
             if to != number and rng.random() > 1 / 3:
                 flying.append((time_s + MIN_S + 0.3 * rng.random(), team_s, time_s, to))
 
 
-def test_who_hears_the_fastest_message_shares_the_senders_time_exactly() -> None:
-    """Clocks 7 s apart: after one message that took the least delay both show one time, for good."""
+def test_fastest_message_gives_exact_team_time() -> None:
+    """Clocks 7 s apart: after one message with the minimum delay both permanently show one time."""
     ahead, behind = Member(5.0, 1.0), Member(-2.0, 1.0)
     behind.clock.hear(ahead.team_s(3.0), behind.shows(3.0 + MIN_S))
     assert behind.team_s(3.1) == pytest.approx(ahead.team_s(3.1), abs=1e-12)
     behind.clock.hear(ahead.team_s(4.0), behind.shows(4.9))
     assert ahead.team_s(5.0) - 2 * DRIFT <= behind.team_s(5.0) <= ahead.team_s(5.0)
     ahead.clock.hear(behind.team_s(5.0), ahead.shows(5.1))
-    assert ahead.team_s(6.0) == 11.0, "the clock that leads goes by itself"
+    assert ahead.team_s(6.0) == 11.0, "the leading clock runs freely"
 
 
-def test_members_that_only_listen_follow_the_team_also_where_their_own_clocks_lead() -> None:
-    """A robot's clock that is 5 s fast says nothing of the team's time, unless it has heard of no other."""
+def test_listener_with_leading_clock_follows_team() -> None:
+    """A robot's clock that is 5 s fast has no effect on the team's time, unless no other clock is known."""
     listening, sending = TeamClock(0.0, 2, listens=True), TeamClock(0.0, 2)
     own_s = np.array([15.0, 5.0])
     assert np.array_equal(listening.time_s(own_s), own_s)
@@ -79,14 +79,14 @@ def test_members_that_only_listen_follow_the_team_also_where_their_own_clocks_le
     assert sending.time_s(own_s).tolist() == [15.0, 10.0]
 
 
-def test_a_message_reaches_only_the_members_that_received_it() -> None:
+def test_message_updates_only_its_receivers() -> None:
     clock = TeamClock(0.5, 3)
     clock.hear(20.0, np.zeros(3), np.array([1]))
     assert clock.time_s(np.zeros(3)).tolist() == [0.0, 20.5, 0.0]
 
 
-def test_a_bound_gives_way_so_that_a_fast_clock_does_not_run_away_from_its_team() -> None:
-    """A listener's clock is 100 parts in a million fast; each second a message tells the time."""
+def test_bound_decay_keeps_fast_clock_with_team() -> None:
+    """A listener's clock is 100 parts in a million fast; a message arrives every second."""
     clock, rate = TeamClock(0.0, 1, listens=True), 1 + 1e-4
     for time_s in range(1000):
         clock.hear(float(time_s), np.array([rate * time_s]))
@@ -103,6 +103,6 @@ def test_a_bound_gives_way_so_that_a_fast_clock_does_not_run_away_from_its_team(
         ({"members": 2**63}, "members"),
     ],
 )
-def test_what_is_no_delay_or_no_number_of_members_is_refused(given, where) -> None:
+def test_team_clock_rejects_invalid_delay_and_count(given, where) -> None:
     with pytest.raises(InputError, match=where):
         TeamClock(**given)

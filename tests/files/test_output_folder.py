@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from skyherd.errors import InputError
+from skyherd.errors import InputError, OutputError
 from skyherd.files.atomic import write_text
+from skyherd.files.folder_lock import FolderLock
 from skyherd.files.folder_record import RECORD
 from skyherd.files.output_file import OutputFile
 from skyherd.files.output_folder import OutputFolder
@@ -34,6 +35,7 @@ def recorded(folder: Path) -> dict[str, dict[str, str]]:
     return json.loads((folder / RECORD).read_text())["files"]
 
 
+@pytest.mark.smoke
 def test_record_names_maker_of_each_file(tmp_path):
     out = tmp_path / "new" / "out"
     make(out)
@@ -41,7 +43,7 @@ def test_record_names_maker_of_each_file(tmp_path):
     assert {entry["made_by"] for entry in recorded(out).values()} == {"run"}
     assert "writer" not in json.loads((out / RECORD).read_text())
     (out / "mine.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"exists; another --out, or --force"):
+    with pytest.raises(InputError, match=r"exists; choose another --out, or write into it with --force"):
         make(out, "again")
     make(out, "again", force=True)
     assert (out / "a.txt").read_text() == "again" and (out / "mine.txt").read_text() == "mine"
@@ -103,10 +105,11 @@ def test_foreign_file_is_rejected_before_any_change(tmp_path, change, way):
     assert contents(out) == before
 
 
-def test_file_of_another_verb_is_rejected(tmp_path):
-    make(tmp_path / "out")
-    with pytest.raises(InputError, match="was made by `skyherd run`"):
-        make(tmp_path / "out", verb="detect", force=True)
+@pytest.mark.parametrize(("first", "second"), [("run", "detect"), ("detect", "run")])
+def test_file_of_another_verb_is_rejected(tmp_path, first, second):
+    make(tmp_path / "out", verb=first)
+    with pytest.raises(InputError, match=f"was made by `skyherd {first}`"):
+        make(tmp_path / "out", verb=second, force=True)
 
 
 def test_own_input_is_never_replaced(tmp_path):
@@ -168,6 +171,7 @@ with OutputFolder(folder, "run", {NAMES!r}):
     assert sorted(contents(tmp_path / "out")) == [RECORD, *NAMES]
 
 
+@pytest.mark.smoke
 def test_second_process_is_rejected_with_name_of_first(tmp_path):
     out = tmp_path / "out"
     said = rf"`skyherd run` writes into it \(process {os.getpid()} on .*, since \d{{4}}-"
@@ -177,6 +181,20 @@ def test_second_process_is_rejected_with_name_of_first(tmp_path):
         (out / "a.txt").write_text("first")
     assert (out / "a.txt").read_text() == "first"
     make(out, "other", force=True)
+
+
+def test_folder_taken_by_another_in_between_is_never_removed(tmp_path, monkeypatch):
+    """Made here, locked by another process before this one could: it is the other's from then on."""
+    out = tmp_path / "new" / "out"
+    output = OutputFolder(out, "run", NAMES, resume=True)
+    monkeypatch.setattr(FolderLock, "acquire", lambda self, folder, wait_s: False)
+    with pytest.raises(InputError, match="writes into it"), output:
+        pass
+    assert out.is_dir()
+    monkeypatch.undo()
+    with pytest.raises(KeyError), output:
+        raise KeyError
+    assert out.is_dir() and not list(out.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -196,6 +214,236 @@ def test_impossible_folder_is_rejected(tmp_path, name, words):
     with pytest.raises(InputError, match=words):
         make(tmp_path / name, force=True)
     assert sorted(tmp_path.iterdir()) == before
+
+
+def test_options_are_given_by_name(tmp_path):
+    with pytest.raises(TypeError):
+        OutputFolder(tmp_path / "out", "run", NAMES, True)
+
+
+def test_force_removes_empty_folders_of_any_depth(tmp_path):
+    out = tmp_path / "out"
+    with OutputFolder(out, "run", ["deep/er/still/x.txt", "deep/y.txt"]):
+        (out / "deep" / "er" / "still").mkdir(parents=True)
+        for name in ("deep/er/still/x.txt", "deep/y.txt"):
+            write_text(out / name, "made")
+    make(out, names=["a.txt"], force=True)
+    assert sorted(path.name for path in out.iterdir()) == [RECORD, "a.txt"]
+
+
+@pytest.mark.parametrize(("length", "is_refused"), [(254, False), (255, False), (256, True), (300, True)])
+def test_name_of_more_than_255_bytes_is_refused(tmp_path, length, is_refused):
+    out = tmp_path / ("ü" * (length // 2) + "x" * (length % 2))
+    if not is_refused:
+        make(out)
+        assert (out / "a.txt").exists()
+        return
+    with pytest.raises(InputError, match="no file can have this name"):
+        make(out)
+    with pytest.raises(InputError, match="no file can have this name"):
+        make(out / "below")
+
+
+@pytest.mark.parametrize("name", ["missing", "a\0b"])
+def test_input_that_is_no_file_protects_nothing(tmp_path, name):
+    out = tmp_path / "out"
+    make(out)
+    make(out, "again", force=True, inputs=[tmp_path / name])
+    assert (out / "a.txt").read_text() == "again"
+
+
+def test_input_among_former_files_stays_when_it_is_claimed_no_more(tmp_path):
+    out = tmp_path / "out"
+    make(out, names=["a.txt", "old.txt", "older.txt"])
+    make(out, "again", names=["a.txt"], force=True, inputs=[out / "old.txt"])
+    assert (out / "old.txt").read_text() == "made" and sorted(recorded(out)) == ["a.txt", "old.txt"]
+    assert not (out / "older.txt").exists()
+
+
+@pytest.mark.parametrize("kept", [False, True])
+@pytest.mark.parametrize("fails", [False, True])
+def test_new_folder_without_files_is_removed_after_a_failure_only(tmp_path, kept, fails):
+    out = tmp_path / "new" / "out"
+    try:
+        with OutputFolder(out, "run", NAMES) as output:
+            if kept:
+                output.keep()
+            if fails:
+                raise KeyError
+    except KeyError:
+        assert fails
+    assert out.exists() == (kept or not fails)
+    assert not (out / RECORD).exists()
+
+
+def test_failure_removes_its_folders_of_any_depth(tmp_path):
+    make(tmp_path, names=["mine.txt"], resume=True)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(KeyError), OutputFolder(tmp_path, "run", ["deep/er/still/x.txt"], resume=True):
+        (tmp_path / "deep" / "er" / "still").mkdir(parents=True)
+        (tmp_path / "deep" / "er" / "still" / "x.txt").write_text("half")
+        raise KeyError
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_part_that_vanishes_meanwhile_is_no_error(tmp_path, monkeypatch):
+    iterdir = Path.iterdir
+    monkeypatch.setattr(Path, "iterdir", lambda self: iter([*iterdir(self), self / PART]))
+    make(tmp_path / "out")
+    monkeypatch.undo()
+    assert sorted(contents(tmp_path / "out")) == [RECORD, *NAMES]
+
+
+def test_discard_takes_keep_back(tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(KeyError), OutputFolder(out, "run", NAMES) as output:
+        (out / "a.txt").write_text("half")
+        output.keep()
+        output.discard()
+        raise KeyError
+    assert not out.exists()
+
+
+def test_record_that_the_body_removed_is_no_error(tmp_path):
+    with OutputFolder(tmp_path / "out", "run", NAMES):
+        (tmp_path / "out" / RECORD).unlink()
+    assert not list((tmp_path / "out").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "advice"),
+    [
+        ({}, "move it away, or choose another --out"),
+        ({"elsewhere": None}, "move it away"),
+        ({"elsewhere": "go"}, "move it away, or go"),
+    ],
+)
+def test_complaint_advises_what_the_verb_says(tmp_path, options, advice):
+    (tmp_path / "a.txt").write_text("mine")
+    with pytest.raises(InputError) as refused:
+        make(tmp_path, resume=True, **options)
+    assert refused.value.allowed == advice
+
+
+PART = ".skyherd-0123456789abcdef.part"
+
+
+def test_parts_are_removed_wherever_the_verb_writes(tmp_path):
+    """At the start and at the end, in folders of claimed files and below claimed folders, nowhere else."""
+    out = tmp_path / "out"
+    names = ["a.txt", "figures/b.txt", "parts/"]
+    folders = [out, out / "figures", out / "parts", out / "parts" / "deep" / "er"]
+    (out / "other").mkdir(parents=True)
+    make(out, names=["a.txt"], resume=True)
+
+    def put_parts():
+        for folder in folders:
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / PART).write_text("half")
+        (out / "other" / PART).write_text("of another")
+        (out / "parts" / "whole.txt").write_text("whole")
+
+    with OutputFolder(out, "run", names, resume=True):
+        put_parts()
+    assert [path.parent for path in out.rglob(PART)] == [out / "other"]
+    put_parts()
+    with OutputFolder(out, "run", names, resume=True):
+        assert [path.parent for path in out.rglob(PART)] == [out / "other"]
+    assert (out / "parts" / "whole.txt").exists()
+
+
+@pytest.mark.parametrize("missing", [os.W_OK, os.X_OK, 0])
+def test_folder_without_the_right_to_write_is_refused(tmp_path, monkeypatch, missing):
+    """The rights to write and to search are both asked for; root has all, so that the answer is made."""
+    monkeypatch.setattr(os, "access", lambda path, mode: not mode & missing)
+    if not missing:
+        make(tmp_path / "out")
+        return
+    with pytest.raises(InputError, match="Permission denied; make the folder writable"):
+        make(tmp_path / "new" / "out")
+    assert not (tmp_path / "new").exists()
+
+
+def test_failure_of_the_disk_at_the_end_is_told_and_releases_the_lock(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space"), OutputFolder(tmp_path / "out", "run", NAMES):
+        (tmp_path / "out" / "a.txt").write_text("made")
+        monkeypatch.setattr("skyherd.files.output_folder.write_record", full)
+    monkeypatch.undo()
+    # An error of the body is more telling than that of the disk.
+    with pytest.raises(KeyError), OutputFolder(tmp_path / "out", "run", NAMES, resume=True) as output:
+        output.keep()
+        monkeypatch.setattr("skyherd.files.output_folder.write_record", full)
+        raise KeyError
+    monkeypatch.undo()
+    make(tmp_path / "out", force=True)
+
+
+def test_record_that_cannot_be_written_leaves_no_new_folder(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OutputError("no space left")
+
+    monkeypatch.setattr("skyherd.files.output_folder.write_record", full)
+    for _ in range(2):
+        with pytest.raises(OutputError, match="no space left"):
+            make(tmp_path / "new" / "out")
+        assert not list(tmp_path.iterdir())
+    monkeypatch.undo()
+    make(tmp_path / "new" / "out")
+
+
+def test_waiting_for_the_other_process_is_for_so_long(tmp_path, monkeypatch):
+    waits = []
+    acquire = FolderLock.acquire
+    monkeypatch.setattr(
+        FolderLock,
+        "acquire",
+        lambda self, folder, wait_s: (waits.append(wait_s), acquire(self, folder, 0.0))[1],
+    )
+    make(tmp_path / "a")
+    make(tmp_path / "b", wait_s=7.5)
+    assert waits == [0.0, 7.5]
+
+
+def test_claimed_folder_is_the_verb_s_throughout(tmp_path):
+    out = tmp_path / "out"
+    with OutputFolder(out, "run", ["parts/"]):
+        (out / "parts").mkdir()
+        (out / "parts" / "x").write_text("x")
+    assert recorded(out) == {"parts/": {"made_by": "run"}}
+    with OutputFolder(out, "run", ["parts/"], resume=True):
+        pass
+    (out / "parts" / "x").unlink()
+    (out / "parts").rmdir()
+    (out / "parts").write_text("a file by that name")
+    with pytest.raises(InputError, match="was not made by skyherd"):
+        make(out, names=["parts/"], resume=True)
+    (out / "parts").unlink()
+    (tmp_path / "elsewhere").mkdir()
+    (out / "parts").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="was not made by skyherd"):
+        make(out, names=["parts/"], resume=True)
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_any_other_content_counts_as_changed(tmp_path, number):
+    """Digests that are larger and smaller than the recorded one."""
+    make(tmp_path / "out")
+    (tmp_path / "out" / "a.txt").write_text(f"edited {number}")
+    with pytest.raises(InputError, match="was changed since skyherd made it"):
+        make(tmp_path / "out", "again", force=True)
+
+
+def test_changed_files_stay_and_are_the_user_s_from_then_on(tmp_path):
+    """A former file that was changed is neither removed nor kept in the record."""
+    out = tmp_path / "out"
+    make(out, names=["a.txt", "old.txt", "older.txt"])
+    (out / "old.txt").write_text("edited")
+    make(out, "again", names=["a.txt"], force=True)
+    assert (out / "old.txt").read_text() == "edited" and not (out / "older.txt").exists()
+    assert list(recorded(out)) == ["a.txt"]
 
 
 def test_single_file_is_replaced_only_if_own_and_forced(tmp_path):

@@ -80,13 +80,29 @@ def test_too_large_file_is_rejected_with_limit(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("[" * 100_000, "nested too deeply"), ("9" * 5000, "damaged"), ("{", "damaged"), ("\x80", "UTF-8")],
+    [
+        ("[" * 100_000, "nested more than 64 deep"),
+        ("[" * 66 + "]" * 66, "nested more than 64 deep"),
+        ('{"a": ' * 66 + "1" + "}" * 66, "nested more than 64 deep"),
+        ("9" * 5000, "damaged"),
+        ("{", "damaged"),
+        ("\x80", "UTF-8"),
+    ],
 )
 def test_invalid_json_is_input_error(tmp_path, text, words):
     path = tmp_path / "a.json"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(InputError, match=words):
         read_json(path, "a good one")
+
+
+def test_json_of_64_levels_is_read(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text("[" * 64 + "1" + "]" * 64)
+    value = read_json(path, "a good one")
+    for _ in range(64):
+        (value,) = value
+    assert value == 1
 
 
 def test_picture_starts_no_other_program(tmp_path, monkeypatch):

@@ -52,6 +52,7 @@ def write(path, images, times_s=None, *, start_s=0.0):
     return path
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("held", MATRICES)
 def test_frames_match_player_orientation(tmp_path, held):
     matrix, shown = MATRICES[held]

@@ -9,14 +9,24 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from fuzzing import NASTY_VALUES, assert_well_behaved, damaged, fuzzed, nonsense, playground, refusal
+from fuzzing import (
+    NASTY_VALUES,
+    SETTABLE,
+    assert_well_behaved,
+    damaged,
+    deep_json,
+    fuzzed,
+    nonsense,
+    other_values,
+    playground,
+    refusal,
+)
 from hypothesis import strategies as st
-from label_specs import spec_of
+from label_specs import labelled_set
 from PIL import Image
 from study_runs import SMALL
 
 from skyherd.datasets import load_mission, scenario_names, scenario_text
-from skyherd.datasets.labelled.make import make_dataset
 from skyherd.datasets.labelled.spec import spec_text
 from skyherd.loop import run_steps
 from skyherd.recording.reader import read_recording
@@ -67,27 +77,10 @@ def recording() -> bytes:
 
 
 @functools.cache
-def labelled_set() -> dict[str, bytes]:
-    with tempfile.TemporaryDirectory() as folder:
-        path = make_dataset(spec_of(images=1), Path(folder, "set")).path
-        return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
-
-
-@functools.cache
 def study_part() -> bytes:
     with tempfile.TemporaryDirectory() as folder, open_store(Path(folder, "out"), "{}") as store:
         store.append([{"key": "a", "error": None, "x": 1.0}, {"key": "b", "error": "broke"}])
         return next(Path(folder, "out", "parts").iterdir()).read_bytes()
-
-
-SETTABLE = (
-    "seed", "duration_s", "step_s", "control.k", "control.b_th", "units.0.yaw_deg", "units.*.height_m",
-    "units.0.frame_rate_hz", "units.0.camera.size_px", "units.0.camera.half_angle_deg", "marker.side_m",
-    "marker.dictionary", "robots.timeout_s", "robots.scatter", "network.frame_loss", "template.shape", "name",
-    "selection.kind", "ground.kind", "ground.image", "template.image", "detector", "units.9", "a.b.c",
-    "units.-1",
-)  # fmt: skip
-"""Keys of a scenario, and some that are none."""
 
 
 @fuzzed(6, kind=st.sampled_from(sorted(PICTURES)), data=st.data())
@@ -138,7 +131,9 @@ def tables_of_labelled_sets(file, data):
         for name, content in labelled_set().items():
             Path("set", name).parent.mkdir(parents=True, exist_ok=True)
             Path("set", name).write_bytes(content)
-        Path("set", file).write_bytes(data.draw(damaged(labelled_set()[file])))
+        good = labelled_set()[file]
+        other = other_values(good) | deep_json() if file.endswith(".json") else st.nothing()
+        Path("set", file).write_bytes(data.draw(damaged(good) | other))
         assert_well_behaved(folder, "dataset", "check", "set", "--sample", "0")
 
 

@@ -1,8 +1,10 @@
 """What `import skyherd` offers, given nonsense: an object, an error of skyherd's own, or a TypeError."""
 
 import contextlib
+import importlib
 import inspect
 import warnings
+from enum import Enum
 from pathlib import Path
 
 import numpy as np
@@ -37,9 +39,10 @@ BY_TYPE = {str: NAMES, Path: NAMES.map(Path), Path | str: NAMES}
 """What is given where a text or a path is asked for: one of them, since nothing else has its methods."""
 
 CALLED = (
-    "Detections", "GoalInboxes", "Hover", "MarkerGains", "MotionGoals", "Rectifier",
+    "AerialController", "Detections", "GoalInboxes", "Hover", "MarkerGains", "MotionGoals", "Rectifier",
     "SafetyRadius", "Template", "UnitReport", "VelocityCommand", "create_detector", "load_mission",
-    "read_dataset", "read_recording", "shape_points",
+    "read_dataset", "read_recording", "robot_commands",
+    "shape_points",
 )  # fmt: skip
 """Names of the entrance that are called; the others take objects that these make, or nothing."""
 
@@ -91,3 +94,85 @@ def test_a_detector_of_no_dictionary_is_refused_when_it_is_made(name):
 def test_a_border_that_is_no_number_of_cells_is_refused(border_bits):
     with pytest.raises(skyherd.InputError, match="border bits"):
         skyherd.create_detector(border_bits=border_bits)
+
+
+FACADES = ("skyherd", "skyherd.control", "skyherd.vision", "skyherd.render", "skyherd.datasets")
+"""Modules whose public names users call."""
+
+
+INTERNAL = {
+    "apply_settings",
+    "check_obstacle_ids",
+    "check_tree",
+    "locate",
+    "read_source",
+    "refuse_configuration",
+    "refuse_other_kind",
+    "source_text",
+}
+"""Names of `skyherd.datasets` by which labs and studies read their files as scenarios are read. Users call
+`load_mission` and its like, which check what they are given."""
+
+
+def is_left_out(target):
+    """Whether a class is a protocol, a data model, an enumeration, or an error without a constructor."""
+    is_plain_error = issubclass(target, BaseException) and "__init__" not in vars(target)
+    is_model = hasattr(target, "model_validate") or issubclass(target, Enum)
+    return getattr(target, "_is_protocol", False) or is_model or is_plain_error
+
+
+def public_callables():
+    """Public functions and classes by their names."""
+    for facade in FACADES:
+        module = importlib.import_module(facade)
+        for name in module.__all__:
+            target = getattr(module, name)
+            if name in INTERNAL:
+                continue
+            if inspect.isfunction(target) or (inspect.isclass(target) and not is_left_out(target)):
+                yield f"{facade}.{name}", target
+
+
+CALLABLES = dict(public_callables())
+
+SAME = (
+    None, True, 3, 2**70, "x", Path("nowhere"), np.zeros(0), np.ones(2), np.ones((2, 2)), np.array(3), [1, 2],
+    [None], {}, {1: 2}, object(),
+)  # fmt: skip
+"""Values that stand for all arguments that a callable needs, one at a time."""
+
+
+def call_as_nonsense(target, values):
+    """Call with these values in turn, of the arguments that are needed; an AttributeError passes through."""
+    parameters = [
+        parameter
+        for parameter in inspect.signature(target).parameters.values()
+        if parameter.default is parameter.empty
+        and parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
+    ]
+    arguments = {parameter.name: values[row % len(values)] for row, parameter in enumerate(parameters)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            result = target(**arguments)
+            if inspect.isgenerator(result):
+                next(result, None)
+        except AttributeError:
+            raise
+        except Exception:
+            return
+
+
+@pytest.mark.parametrize("name", CALLABLES)
+def test_nonsense_arguments_give_no_attribute_error(name):
+    """Each value for all arguments, and mixtures of them from a fixed seed."""
+    rng = np.random.default_rng(7)
+    for value in SAME:
+        call_as_nonsense(CALLABLES[name], [value])
+    for _ in range(10):
+        call_as_nonsense(CALLABLES[name], [SAME[k] for k in rng.integers(len(SAME), size=6)])
+
+
+def test_an_attribute_error_of_nonsense_is_noticed():
+    with pytest.raises(AttributeError):
+        call_as_nonsense(lambda seen: seen.ids, [3])

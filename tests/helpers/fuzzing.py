@@ -5,15 +5,17 @@ are always others behind `-m slow` (`SKYHERD_FUZZ_EXAMPLES` times as many, 1 if 
 """
 
 import contextlib
+import copy
 import hashlib
 import io
+import json
 import os
 import re
 import signal
 import tempfile
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +24,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from skyherd.cli import main
-from skyherd.errors import SkyherdError
+from skyherd.errors import MAX_PROBLEMS, InputError, SkyherdError
 
 MAX_CHARACTERS = 500
 """Length of the longest line that a refusal may have."""
+
+MAX_LINES = MAX_PROBLEMS + 1
+"""Lines of the longest refusal: one for each problem, and one that counts the rest."""
 
 LATEST_S = 5.0
 """Processor time in which everything that is refused has to be refused, s. It is no wall time: how busy the
@@ -44,6 +49,30 @@ NASTY_VALUES = (
     "1000000",
 )  # fmt: skip
 """TOML values that mean nothing, or too much, somewhere."""
+
+SETTABLE = (
+    "seed", "duration_s", "step_s", "control.k", "control.b_th", "units.0.yaw_deg", "units.*.height_m",
+    "units.0.frame_rate_hz", "units.0.camera.size_px", "units.0.camera.half_angle_deg", "marker.side_m",
+    "marker.dictionary", "robots.timeout_s", "robots.scatter", "network.frame_loss", "template.shape", "name",
+    "selection.kind", "ground.kind", "ground.image", "template.image", "detector", "units.9", "a.b.c",
+    "units.-1",
+)  # fmt: skip
+"""Keys of a scenario, and some that are none."""
+
+FOREIGN_TEXTS = ("\udcff", '"\udcff"', "\ud800", '"a\udc80b"', "['\udcff']", "{ a = '\udcff' }")
+"""Texts that are not UTF-8, as bytes on the command line become them, and as values of TOML."""
+
+OTHER_TYPES = (
+    None, True, 0, -1, 1e308, "", "x", "\ud800", "\udcff", [], [[]], [1], ["x"], {}, {"x": 1}, [{}], 10**400,
+    {"preset": [1]}, [None], float("nan"),
+)  # fmt: skip
+"""Values of JSON and of Python, most of which are of another type than is expected."""
+
+DEPTHS = (10, 70, 900, 5000, 100_000)
+"""Levels of lists and objects within each other: few, too many, and more than the interpreter's stack has."""
+
+TREE_DEPTHS = (10, 70, 300)
+"""Levels of values that a test itself makes of JSON."""
 
 NUMBER = re.compile(rb"(?<== )[^\n]+|-?\d+(\.\d+)?")
 """Values of a TOML file, whole or a number of a list."""
@@ -85,6 +114,44 @@ def nonsense(draw: Any, text: bytes) -> bytes:
             k = draw(st.integers(0, len(lines) - 1))
             text = b"".join(lines[:k] + lines[k : k + 1] * draw(st.sampled_from([0, 2])) + lines[k + 1 :])
     return text
+
+
+def nested(levels: int, kind: str = "[") -> str:
+    """Return a JSON text of so many levels; with the kind `[...` or `{...` it is not closed."""
+    begin = "[" if kind[0] == "[" else '{"a":'
+    return begin * levels + ("" if kind.endswith("...") else "1" + {"[": "]", "{": "}"}[kind[0]] * levels)
+
+
+@st.composite
+def other_values(draw: Any, data: bytes, depths: Sequence[int] = DEPTHS) -> bytes:
+    """A JSON file with the value at one to three of its keys replaced, mostly by one of another type."""
+    document = json.loads(data)
+    deep: dict[str, str] = {}
+    for number in range(draw(st.integers(1, 3))):
+        node, key = document, None
+        places = []
+        while isinstance(node, dict | list) and node:
+            keys = sorted(node) if isinstance(node, dict) else range(len(node))
+            key = draw(st.sampled_from(keys))
+            places.append((node, key))
+            node = node[key]
+        if not places:
+            break
+        node, key = draw(st.sampled_from(places))
+        node[key] = copy.deepcopy(draw(st.sampled_from([*OTHER_TYPES, "deep"])))
+        if node[key] == "deep":
+            node[key] = f"deep {number}"
+            deep[f'"deep {number}"'] = nested(draw(st.sampled_from(depths)), draw(st.sampled_from("[{")))
+    text = json.dumps(document)
+    for mark, value in deep.items():
+        text = text.replace(mark, value)
+    return text.encode()
+
+
+def deep_json() -> st.SearchStrategy[bytes]:
+    """JSON texts of nothing but levels."""
+    kinds = st.sampled_from(["[", "{", "[...", "{..."])
+    return st.builds(nested, st.sampled_from(DEPTHS), kinds).map(str.encode)
 
 
 def fuzzed(
@@ -152,14 +219,16 @@ def not_for_ever() -> Iterator[None]:
 
 
 def refusal(call: Callable[[], object]) -> SkyherdError | None:
-    """Call something; how it was refused, None if it was not. A refusal is a short line, and comes soon."""
+    """Call something; how it was refused, None if it was not. A refusal is short, and comes soon."""
     began_s = time.process_time()
     try:
         with not_for_ever():
             call()
     except SkyherdError as error:
         assert time.process_time() - began_s < LATEST_S, error
-        assert len(str(error)) < MAX_CHARACTERS and "\n" not in str(error), error
+        lines = error.lines if isinstance(error, InputError) else (str(error),)
+        assert len(lines) <= MAX_LINES, error
+        assert all(len(line) < MAX_CHARACTERS and "\n" not in line for line in lines), error
         return error
     return None
 
@@ -184,8 +253,8 @@ def run(*arguments: Any) -> tuple[int, str]:
 def assert_well_behaved(folder: Path, *arguments: Any) -> int:
     """Call the command line, and check what holds whatever it was given; returns the exit code.
 
-    Exit code 0, 1 or 2; of a refusal one line, short, soon, without a traceback, and nothing new in the
-    folder; and no file that was there is gone or changed.
+    Exit code 0, 1 or 2; of a refusal at most `MAX_LINES` short lines, soon, without a
+    traceback, and nothing new in the folder; and no file that was there is gone or changed.
     """
     before = contents(folder)
     began_s = time.process_time()
@@ -201,6 +270,6 @@ def assert_well_behaved(folder: Path, *arguments: Any) -> int:
     assert not changed, (arguments, changed)
     if code == 2:
         assert took_s < LATEST_S, (arguments, took_s, lines)
-        assert sum(line.startswith("error: ") for line in lines) == 1, lines
+        assert 1 <= sum(line.startswith("error: ") for line in lines) <= MAX_LINES, lines
         assert after == before, (arguments, sorted(after.keys() - before.keys()))
     return code

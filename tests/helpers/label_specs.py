@@ -1,5 +1,10 @@
 """A small labelled set that tests vary."""
 
+import functools
+import tempfile
+from pathlib import Path
+
+from skyherd.datasets.labelled.make import make_dataset
 from skyherd.datasets.labelled.spec import SpecFile, make_spec
 
 TREE = {
@@ -19,3 +24,11 @@ TREE = {
 def spec_of(**changes):
     """The small set with some keys changed."""
     return SpecFile(make_spec(TREE | changes))
+
+
+@functools.cache
+def labelled_set() -> dict[str, bytes]:
+    """The files of a small set with one image, by name."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = make_dataset(spec_of(images=1), Path(folder, "set")).path
+        return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}

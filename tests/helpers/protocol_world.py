@@ -13,7 +13,7 @@ import numpy as np
 
 from skyherd.control import Template
 from skyherd.control.topology.conditions import check_conditions, control_matrix
-from skyherd.control.tree.node_state import TreeRule
+from skyherd.control.tree.node_state import TreeSettings
 from skyherd.control.tree.protocol import TreeProtocol
 from skyherd.messages import Detections, UnitReport
 
@@ -39,9 +39,9 @@ class ProtocolWorld:
 
     units: int
     robots: int
-    rule: TreeRule
+    rule: TreeSettings
     views: list[dict[int, float]]
-    make: Callable[[TreeRule], TreeProtocol] = TreeProtocol
+    make: Callable[[TreeSettings], TreeProtocol] = TreeProtocol
     time_s: float = 0.0
     nodes: dict[int, TreeProtocol] = field(default_factory=dict)
     waiting: list[Letter] = field(default_factory=list)

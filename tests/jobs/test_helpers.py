@@ -53,6 +53,7 @@ class Adder:
         return self.total, os.getpid()
 
 
+@pytest.mark.smoke
 def test_helper_answers_in_order_and_keeps_state():
     adder = Adder()
     adder.add(100)  # before the fork: the helper has it as well
@@ -126,20 +127,21 @@ def test_helper_leaves_signals_to_maker():
         assert helper.answer()[0] == 3
 
 
-@pytest.mark.parametrize("how", ["killed", "ended without closing"])
+@pytest.mark.parametrize("how", ["killed", "killed at work", "ended without closing"])
 def test_helpers_end_with_their_maker(how):
     """Three helpers: later forks have copies of the earlier ones' pipes."""
     code = f"""
 import time
 from skyherd.jobs.helpers import Helper
-all = [Helper(lambda request: request, RuntimeError()) for _ in range(3)]
+all = [Helper(time.sleep, RuntimeError()) for _ in range(3)]
+{"[helper.ask(600) for helper in all]" if how == "killed at work" else ""}
 print(*[helper._process.pid for helper in all], flush=True)
-{"time.sleep(600)" if how == "killed" else ""}
+{"time.sleep(600)" if how != "ended without closing" else ""}
 """
     maker = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     pids = [int(pid) for pid in maker.stdout.readline().split()]
     assert len(pids) == 3
-    if how == "killed":
+    if how != "ended without closing":
         assert all(map(alive, pids))
         maker.kill()
     maker.wait(LIMIT_S)

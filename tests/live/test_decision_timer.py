@@ -1,4 +1,4 @@
-"""When a robot decides: at once on news, once a period without, and never much more often."""
+"""Timer of a robot's decisions: immediate after goals, once a period without, with a rate limit."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def arrival(message):
 
 
 def decisions(news_s, until_s=2.0, step_s=1e-3, message=GOALS, robot=1):
-    """Times of decisions of a loop that looks at its clock every millisecond."""
+    """Return the times of decisions of a loop that checks its clock every millisecond."""
     timer, made, news = DecisionTimer(PERIOD_S, 0.0), [], list(news_s)
     for now_s in np.arange(0.0, until_s, step_s):
         if now_s >= timer.due_s:
@@ -29,11 +29,11 @@ def decisions(news_s, until_s=2.0, step_s=1e-3, message=GOALS, robot=1):
     return np.array(made)
 
 
-def test_without_news_it_decides_once_a_period() -> None:
+def test_decision_without_new_goals_once_a_period() -> None:
     assert np.diff(decisions([])) == pytest.approx(PERIOD_S, abs=2e-3)
 
 
-def test_a_goal_is_decided_on_at_once() -> None:
+def test_decision_after_a_goal_immediate() -> None:
     made = decisions([0.155, 0.7])
     for news_s in (0.155, 0.7):
         after = made[made >= news_s]
@@ -42,7 +42,7 @@ def test_a_goal_is_decided_on_at_once() -> None:
     assert np.diff(made).max() <= PERIOD_S + 2e-3
 
 
-def test_many_goals_are_decided_on_five_times_a_period_at_most() -> None:
+def test_decisions_under_many_goals_at_most_five_a_period() -> None:
     made = decisions(np.arange(0.0, 2.0, 0.004))
     assert np.diff(made).min() >= MIN_SHARE * PERIOD_S - 1e-9
     assert np.diff(made).max() <= MIN_SHARE * PERIOD_S + 6e-3
@@ -52,13 +52,13 @@ def test_many_goals_are_decided_on_five_times_a_period_at_most() -> None:
     ("message", "robot"),
     [(GOALS, 9), (Heartbeat({}), 1), (Sighting(0, 0.0, np.array([1]), np.array([], int)), 1)],
 )
-def test_what_is_no_goal_for_this_robot_changes_nothing(message, robot) -> None:
+def test_other_messages_do_not_advance_the_decision(message, robot) -> None:
     np.testing.assert_array_equal(
         decisions(np.arange(0.0, 2.0, 0.01), message=message, robot=robot), decisions([])
     )
 
 
-def test_a_loop_that_is_late_goes_on_from_there() -> None:
+def test_late_decision_restarts_the_period() -> None:
     timer = DecisionTimer(PERIOD_S, 0.0)
     timer.decided(5.0)
     assert timer.due_s == 5.0

@@ -1,4 +1,4 @@
-"""Runs that are interrupted, by real processes: any signals at any time end in the same state."""
+"""Interrupted runs of real processes: any signals at any time lead to the same state."""
 
 import os
 import signal
@@ -27,7 +27,7 @@ radio.connect = ["{place}"]
 
 @pytest.fixture
 def lab_file(tmp_path) -> Path:
-    """A lab whose camera is a folder of images, so that nothing but its own processes is needed."""
+    """Return a lab whose camera is a folder of images, so that it needs no other processes."""
     images = tmp_path / "images"
     images.mkdir()
     Image.fromarray(np.full((120, 160), 90, np.uint8)).save(images / "0.png")
@@ -37,7 +37,7 @@ def lab_file(tmp_path) -> Path:
 
 
 def processes_of(lab_file: Path) -> dict[int, str]:
-    """Command lines of the processes of a lab, by process number."""
+    """Return the command lines of the processes of a lab, by process id."""
     found = {}
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
@@ -70,7 +70,7 @@ def start(lab_file: Path, folder: Path) -> "subprocess.Popen[str]":
         (["SIGTERM", "SIGINT"], 0.3, 143),
     ],
 )
-def test_any_signals_end_a_run_in_the_same_state(lab_file, tmp_path, signals, pause_s, code) -> None:
+def test_run_ends_in_the_same_state_after_any_signals(lab_file, tmp_path, signals, pause_s, code) -> None:
     pytest.importorskip("zenoh")
     run = tmp_path / "run"
     session = start(lab_file, run)
@@ -95,14 +95,14 @@ def test_any_signals_end_a_run_in_the_same_state(lab_file, tmp_path, signals, pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("verb", "number"), [("robot", "0"), ("unit", "0")])
-def test_a_single_process_ends_by_the_code_of_its_signal(lab_file, tmp_path, verb, number) -> None:
+def test_single_process_exits_with_the_code_of_its_signal(lab_file, tmp_path, verb, number) -> None:
     pytest.importorskip("zenoh")
     folder = tmp_path / "run"
     command = [*SKYHERD, verb, str(lab_file), number, "--out", str(folder)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     wait_for(lambda: list(folder.glob("*.mcap")), "a log")
     process.send_signal(signal.SIGTERM)
-    time.sleep(0.3)  # Python handles pending signals by their numbers, not in the order of their arrival
+    time.sleep(0.3)  # Python handles pending signals by number, not in their order of arrival.
     process.send_signal(signal.SIGINT)
     said, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 143 and "Traceback" not in said

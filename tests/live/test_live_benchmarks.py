@@ -1,4 +1,4 @@
-"""What the benchmarks of live runs compute, on what is known."""
+"""Computations of the live benchmarks, on known input."""
 
 import json
 import tomllib
@@ -10,21 +10,21 @@ from skyherd.live.lab import lab_names, load_lab, make_lab
 
 
 @pytest.mark.parametrize("name", lab_names())
-def test_a_lab_written_as_toml_is_the_same_lab(load_benchmark, name) -> None:
+def test_lab_round_trips_through_toml(load_benchmark, name) -> None:
     latency = load_benchmark("live_latency")
     tree = load_lab(name).model.model_dump(mode="json", exclude_none=True)
     assert make_lab(tomllib.loads(latency.toml_text(tree))).model == load_lab(name).model
 
 
-def test_the_lab_of_a_scenario_has_one_camera_and_robots_without_wheels(load_benchmark) -> None:
+def test_lab_of_scenario_has_one_camera_and_dry_run_robots(load_benchmark) -> None:
     lab = load_benchmark("live_latency").lab_of("star", detector="opencv")
     assert [camera.detector for camera in lab.model.cameras] == ["opencv"]
     assert {robot.driver for robot in lab.model.robots} == {"dry-run"}
     assert lab.ids == load_lab("star").ids
 
 
-def test_memory_that_grows_is_told_from_memory_that_does_not(load_benchmark) -> None:
-    """Noise that stays for some readings, as memory's does, is no growth; a leak of 12 MiB an hour is."""
+def test_memory_growth_distinguishes_leak_from_noise(load_benchmark) -> None:
+    """Correlated noise, typical of memory, is no growth. A leak of 12 MiB/h is."""
     memory = load_benchmark("live_memory")
     times_s = np.arange(0.0, 1200.0, 5.0)
     rng = np.random.default_rng(6)
@@ -44,13 +44,13 @@ def test_memory_that_grows_is_told_from_memory_that_does_not(load_benchmark) -> 
     assert leaks["gained_mib"] == pytest.approx(0.9 * 900 / 300, abs=0.2)
 
 
-def test_a_process_that_is_gone_has_no_memory(load_benchmark) -> None:
+def test_memory_of_ended_process_is_nan(load_benchmark) -> None:
     memory = load_benchmark("live_memory")
     assert np.isnan(memory.own_mib(2**30))
 
 
-def test_faults_that_were_interrupted_are_gone_on_with(load_benchmark, tmp_path, monkeypatch) -> None:
-    """What the file has is not run again, and what was run before it was interrupted is in the file."""
+def test_fault_runs_resume_after_interrupt(load_benchmark, tmp_path, monkeypatch) -> None:
+    """Recorded runs are not repeated, and runs completed before the interrupt are in the file."""
     faults, path, ran = load_benchmark("live_faults"), tmp_path / "faults.json", []
 
     def run(fault, seed):

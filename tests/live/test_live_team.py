@@ -1,4 +1,4 @@
-"""A whole live team in memory, in simulated time: it forms its shape, and faults stop it as they should."""
+"""Whole live teams in memory and in simulated time: convergence, faults, recording and replay."""
 
 import re
 import time
@@ -32,7 +32,7 @@ def team_of(faults, seed=0):
 
 
 def recorded(team, tmp_path):
-    """Diaries of the unit and of robot 3, kept as the processes keep theirs."""
+    """Return recordings of the unit and of robot 3, written like those of the processes."""
     process_logs = {}
     for name in ("unit/0", "robot/3"):
         process = team.processes[name]
@@ -77,8 +77,8 @@ def wrap(process, process_log):
         core.see = see_and_keep
 
 
-def test_a_team_forms_its_shape_and_is_replayed_to_the_bit(faults, tmp_path) -> None:
-    """Clocks differ by a fraction of a second, and a fifth of all messages is lost or late."""
+def test_team_with_message_loss_forms_shape_and_replays_exactly(faults, tmp_path) -> None:
+    """Clocks differ by up to 0.8 s, 10 % of the messages are lost, and 10 % have a latency of 0.2 s."""
     rng = np.random.default_rng(2)
     team = team_of(faults)
     for process in team.processes.values():
@@ -99,7 +99,7 @@ def test_a_team_forms_its_shape_and_is_replayed_to_the_bit(faults, tmp_path) -> 
     assert robot.decisions == 110 and unit.decisions == 110
 
 
-def test_a_replay_notices_a_message_that_was_changed(faults, tmp_path, monkeypatch) -> None:
+def test_replay_detects_a_changed_message(faults, tmp_path, monkeypatch) -> None:
     team = team_of(faults)
     process_logs = recorded(team, tmp_path)
     process_log = process_logs["robot/3"]
@@ -122,7 +122,7 @@ def test_a_replay_notices_a_message_that_was_changed(faults, tmp_path, monkeypat
     assert replay(tmp_path / "robot_3.mcap").different > 0
 
 
-def test_partition_stops_all_and_the_mission_goes_on_after_it(faults) -> None:
+def test_team_stops_in_partition_and_resumes_after_it(faults) -> None:
     team = team_of(faults, seed=1)
     speeds = []
     for _ in range(90):
@@ -144,67 +144,67 @@ def test_partition_stops_all_and_the_mission_goes_on_after_it(faults) -> None:
         ),
     ],
 )
-def test_no_fault_moves_a_wheel_for_long(faults, fault) -> None:
+def test_wheels_stop_in_time_under_each_fault(faults, fault) -> None:
     row = faults.run(fault, 3, duration_s=faults.DURATION_S if fault == "clock set by 20 s" else 6.0)
     assert not row["exceeded"]
     if "clock" in fault:
         assert any("s off, more than" in line for line in row["told"])
     if fault == "clock 20 s off":
-        assert row["blind_s"] == 0  # from the start, so that nobody ever moves
+        assert row["blind_s"] == 0  # The clock is wrong from the start, so that no robot moves.
     if fault in ("two teams", "garbage"):
         assert row["refused"] > 10 and row["blind_s"] > 0
 
 
-def test_a_full_disk_ends_the_diary_with_a_line_and_nothing_else(tmp_path, monkeypatch) -> None:
-    lab = load_lab("triangle")
-    with ProcessLog(tmp_path / "a.mcap", "robot/3", lab, 0.0) as process_log:
-        process_log.put("/tell", 0.1, {"line": "before"})
+class TestProcessLog:
+    def test_full_disk_ends_recording_without_error(self, tmp_path, monkeypatch) -> None:
+        lab = load_lab("triangle")
+        with ProcessLog(tmp_path / "a.mcap", "robot/3", lab, 0.0) as process_log:
+            process_log.put("/tell", 0.1, {"line": "before"})
 
-        def full(*arguments):
-            raise OSError(28, "No space left on device")
+            def full(*arguments):
+                raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(process_log._log, "flush", full)
-        process_log.put("/tell", 5.0, {"line": "after"})
-        assert "No space left" in process_log.trouble
-        process_log.put("/tell", 6.0, {"line": "later"})
+            monkeypatch.setattr(process_log._log, "flush", full)
+            process_log.put("/tell", 5.0, {"line": "after"})
+            assert "No space left" in process_log.trouble
+            process_log.put("/tell", 6.0, {"line": "later"})
+
+    def test_truncated_file_reads_up_to_last_chunk(self, tmp_path) -> None:
+        lab = load_lab("triangle")
+        path = tmp_path / "a.mcap"
+        with ProcessLog(path, "robot/3", lab, 0.0) as process_log:
+            for step in range(100):
+                process_log.put("/tell", step * 0.1, {"line": str(step)})
+            data = path.read_bytes()
+        (tmp_path / "cut.mcap").write_bytes(data[:-5])
+        lines = [
+            record["line"] for topic, record in read_process_log(tmp_path / "cut.mcap") if topic == "/tell"
+        ]
+        assert lines == [str(step) for step in range(len(lines))] and len(lines) >= 90
+
+    def test_damaged_file_reads_up_to_first_missing_record(self, tmp_path) -> None:
+        """A replay of later records would lack inputs, and its decisions would differ."""
+        path = tmp_path / "a.mcap"
+        with ProcessLog(path, "robot/3", load_lab("triangle"), 0.0) as process_log:
+            for step in range(100):
+                process_log.put("/tell", step * 0.1, {"line": str(step)})
+        data = bytearray(path.read_bytes())
+        chunks = [found.end() for found in re.finditer(b"zstd", data)]
+        data[chunks[8] + 30] ^= 0xFF
+        path.write_bytes(data)
+        lines = [record["line"] for topic, record in read_process_log(path) if topic == "/tell"]
+        assert lines == [str(step) for step in range(len(lines))] and 10 < len(lines) < 90
+
+    @pytest.mark.parametrize("content", [b"", b"no MCAP at all, whatever it is"])
+    def test_other_file_is_refused_in_one_line(self, tmp_path, content) -> None:
+        path = tmp_path / "robot_1.mcap"
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"robot_1\.mcap"):
+            replay(path)
 
 
-def test_a_diary_cut_short_reads_up_to_its_last_chunk(tmp_path) -> None:
-    lab = load_lab("triangle")
-    path = tmp_path / "a.mcap"
-    with ProcessLog(path, "robot/3", lab, 0.0) as process_log:
-        for step in range(100):
-            process_log.put("/tell", step * 0.1, {"line": str(step)})
-        data = path.read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(data[:-5])
-    lines = [record["line"] for topic, record in read_process_log(tmp_path / "cut.mcap") if topic == "/tell"]
-    assert lines == [str(step) for step in range(len(lines))] and len(lines) >= 90
-
-
-def test_a_diary_reads_up_to_the_first_record_that_is_missing(tmp_path) -> None:
-    """What comes after it would be decided on with other news than there were."""
-    path = tmp_path / "a.mcap"
-    with ProcessLog(path, "robot/3", load_lab("triangle"), 0.0) as process_log:
-        for step in range(100):
-            process_log.put("/tell", step * 0.1, {"line": str(step)})
-    data = bytearray(path.read_bytes())
-    chunks = [found.end() for found in re.finditer(b"zstd", data)]
-    data[chunks[8] + 30] ^= 0xFF
-    path.write_bytes(data)
-    lines = [record["line"] for topic, record in read_process_log(path) if topic == "/tell"]
-    assert lines == [str(step) for step in range(len(lines))] and 10 < len(lines) < 90
-
-
-@pytest.mark.parametrize("content", [b"", b"no MCAP at all, whatever it is"])
-def test_what_is_no_diary_is_refused_in_one_line(tmp_path, content) -> None:
-    path = tmp_path / "robot_1.mcap"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"robot_1\.mcap"):
-        replay(path)
-
-
-def test_arm_and_stop_insist_until_all_answer(faults) -> None:
-    """The operator's own loop, with time that passes whenever it listens."""
+def test_arm_and_stop_repeat_until_all_robots_confirm(faults) -> None:
+    """The operator's own loop runs while time advances in `listen`. 30 % of the messages are lost."""
     from skyherd.live import operator
 
     team = team_of(faults, seed=2)
@@ -227,7 +227,7 @@ def test_arm_and_stop_insist_until_all_answer(faults) -> None:
 
 
 def context_of(folder, say, ended):
-    """A context of the lab `triangle` for unit 0, over a radio in memory; it ends after a while."""
+    """Return a context of unit 0 of the lab `triangle` with a radio in memory. It ends by `PATIENCE_S`."""
     latest_s = time.monotonic() + PATIENCE_S
     return ProcessContext(
         load_lab("triangle"),
@@ -239,35 +239,35 @@ def context_of(folder, say, ended):
     )
 
 
-def test_a_unit_whose_disk_is_full_says_so_and_goes_on(tmp_path, monkeypatch) -> None:
-    images, told = tmp_path / "images", []
-    images.mkdir()
-    for number in range(3):
-        Image.fromarray(np.full((120, 160), 90, np.uint8)).save(images / f"{number}.png")
+class TestUnitProcess:
+    def test_full_disk_is_reported_and_unit_continues(self, tmp_path, monkeypatch) -> None:
+        images, lines = tmp_path / "images", []
+        images.mkdir()
+        for number in range(3):
+            Image.fromarray(np.full((120, 160), 90, np.uint8)).save(images / f"{number}.png")
 
-    def full(*arguments):
-        raise OSError(28, "No space left on device")
+        def full(*arguments):
+            raise OSError(28, "No space left on device")
 
-    context = context_of(tmp_path / "run", told.append, lambda: any("device" in line for line in told))
-    put = McapLog.put
-    monkeypatch.setattr(
-        McapLog, "put", lambda log, topic, *rest: put(log, topic, *rest) if topic == "/about" else full()
-    )
-    run_unit(context, 0, address=str(images), dry_run=True)
-    assert any("No space left on device; nothing is recorded from now on" in line for line in told)
+        context = context_of(tmp_path / "run", lines.append, lambda: any("device" in line for line in lines))
+        put = McapLog.put
+        monkeypatch.setattr(
+            McapLog, "put", lambda log, topic, *rest: put(log, topic, *rest) if topic == "/about" else full()
+        )
+        run_unit(context, 0, address=str(images), dry_run=True)
+        assert any("No space left on device; recording has ended" in line for line in lines)
 
-
-def test_a_unit_searches_for_what_can_wait_when_it_has_sent_what_it_decided(tmp_path, monkeypatch) -> None:
-    images, order = tmp_path / "images", []
-    images.mkdir()
-    Image.fromarray(np.full((120, 160), 90, np.uint8)).save(images / "0.png")
-    look, report = UnitAtWork.look, UnitAtWork.report
-    monkeypatch.setattr(unit_process, "warm_up", lambda *given: order.append("warm"))
-    monkeypatch.setattr(UnitAtWork, "look", lambda *given: order.append("looked") or look(*given))
-    monkeypatch.setattr(UnitAtWork, "report", lambda *given: order.append("reported") or report(*given))
-    monkeypatch.setattr(
-        DeferringDetector, "look_around", lambda own, image, *, unit_id: order.append(int(image[0, 0]))
-    )
-    context = context_of(tmp_path / "run", lambda line: None, lambda: order[-1] == 90)
-    run_unit(context, 0, address=str(images), dry_run=True)
-    assert order[0] == "warm" and order[-3:] == ["looked", "reported", 90]
+    def test_deferred_search_follows_sending(self, tmp_path, monkeypatch) -> None:
+        images, order = tmp_path / "images", []
+        images.mkdir()
+        Image.fromarray(np.full((120, 160), 90, np.uint8)).save(images / "0.png")
+        look, report = UnitAtWork.look, UnitAtWork.report
+        monkeypatch.setattr(unit_process, "warm_up", lambda *given: order.append("warm"))
+        monkeypatch.setattr(UnitAtWork, "look", lambda *given: order.append("looked") or look(*given))
+        monkeypatch.setattr(UnitAtWork, "report", lambda *given: order.append("reported") or report(*given))
+        monkeypatch.setattr(
+            DeferringDetector, "look_around", lambda own, image, *, unit_id: order.append(int(image[0, 0]))
+        )
+        context = context_of(tmp_path / "run", lambda line: None, lambda: order[-1] == 90)
+        run_unit(context, 0, address=str(images), dry_run=True)
+        assert order[0] == "warm" and order[-3:] == ["looked", "reported", 90]

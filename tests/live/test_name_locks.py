@@ -1,4 +1,4 @@
-"""Names of a team are held once on a machine, also by a process that is suspended."""
+"""Locks on process names: one holder per machine, also while it is suspended."""
 
 import os
 import signal
@@ -40,7 +40,7 @@ def port() -> int:
     return free_port()
 
 
-def test_a_name_is_held_once_and_free_again(port) -> None:
+def test_name_is_exclusive_until_released(port) -> None:
     lab = load_lab("triangle", settings_of(port))
     with hold_name(lab, "robot/3"):
         with (
@@ -56,27 +56,27 @@ def test_a_name_is_held_once_and_free_again(port) -> None:
 
 
 @pytest.mark.parametrize("other", ["team", "port"])
-def test_another_team_or_radio_has_names_of_its_own(port, other) -> None:
+def test_names_of_other_team_or_radio_are_independent(port, other) -> None:
     settings = settings_of(port, "red") if other == "team" else settings_of(free_port())
     with hold_name(load_lab("triangle", settings_of(port)), "world"):
         take(load_lab("triangle", settings), "world")
 
 
-def test_labs_that_share_one_endpoint_share_their_names(port) -> None:
+def test_labs_with_a_common_endpoint_share_names(port) -> None:
     elsewhere = f'radio.listen=["tcp/127.0.0.1:{free_port()}"]'
     lab = load_lab("triangle", settings_of(port))
     with hold_name(lab, "live run"), pytest.raises(InputError, match="already runs"):
         take(load_lab("triangle", [*settings_of(port), elsewhere]), "live run")
 
 
-def test_a_folder_of_locks_that_cannot_be_made_is_one_line(port, monkeypatch, tmp_path) -> None:
+def test_invalid_lock_folder_is_one_line(port, monkeypatch, tmp_path) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(name_locks, "lock_folder", lambda: tmp_path / "file" / "locks")
     with pytest.raises(InputError, match="a lock file that can be opened"):
         take(load_lab("triangle", settings_of(port)), "world")
 
 
-def test_a_suspended_process_holds_its_name_and_a_killed_one_does_not(port) -> None:
+def test_name_stays_held_while_suspended_and_is_freed_by_kill(port) -> None:
     settings = settings_of(port)
     lab = load_lab("triangle", settings)
     holder = subprocess.Popen([sys.executable, "-c", HOLDER, *settings], stdout=subprocess.PIPE, text=True)
@@ -92,7 +92,7 @@ def test_a_suspended_process_holds_its_name_and_a_killed_one_does_not(port) -> N
     take(lab, "robot/3")
 
 
-def test_a_name_is_waited_for(port) -> None:
+def test_hold_waits_for_release_of_the_name(port) -> None:
     settings = settings_of(port)
     holder = subprocess.Popen([sys.executable, "-c", HOLDER, *settings], stdout=subprocess.PIPE, text=True)
     try:

@@ -1,10 +1,10 @@
-"""Commands of an operator to a scripted team: what counts as confirmed, and what is said of the others."""
+"""Commands of an operator to a scripted team: confirmations, and reports about other robots."""
 
 import pytest
 
 from skyherd.live.lab import load_lab
 from skyherd.live.mailbox import Air, Mailbox
-from skyherd.live.operator import REPEAT_S, SETTLE_S, ArmCommand, StopCommand, arm, stop, watch
+from skyherd.live.operator import REPEAT_S, SETTLE_S, ArmCommand, Outcome, StopCommand, arm, stop, watch
 from skyherd.live.session import Session, outcome_lines
 from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch
 from skyherd.live.wire import Arm, Heartbeat, Stop
@@ -13,7 +13,7 @@ LAB = load_lab("triangle")
 
 
 class ScriptedRobot:
-    """A robot that does as its script says, and hears commands."""
+    """Scripted robot that receives commands."""
 
     def __init__(self, team: "ScriptedTeam", robot: int) -> None:
         self.latch, self.armed, self.ready, self.frozen = NO_COMMAND, False, True, False
@@ -41,7 +41,7 @@ class ScriptedRobot:
 
 
 class ScriptedTeam:
-    """All robots of the lab `triangle`, and an operator whose waiting lets time pass."""
+    """All robots of the lab `triangle`, and an operator. Its waiting advances the time."""
 
     def __init__(self) -> None:
         self.now_s, self.air = 1000.0, Air(now_s=1000.0)
@@ -61,149 +61,141 @@ class ScriptedTeam:
         self.listen(0.0)
 
 
-def test_a_stop_is_confirmed_by_its_number() -> None:
-    team = ScriptedTeam()
-    outcome = stop(LAB, team.watched, "test")
-    assert outcome.done == LAB.ids and outcome.is_complete and team.now_s < 1000.5
-    assert all(robot.latch.stopped for robot in team.robots.values())
+class TestStop:
+    def test_confirmed_by_its_number(self) -> None:
+        team = ScriptedTeam()
+        outcome = stop(LAB, team.watched, "test")
+        assert outcome.done == LAB.ids and outcome.is_complete and team.now_s < 1000.5
+        assert all(robot.latch.stopped for robot in team.robots.values())
+
+    def test_not_confirmed_by_old_heartbeat(self) -> None:
+        """A heartbeat sent before the stop reports the robot disarmed, and arrives after the stop."""
+        team = ScriptedTeam()
+        team.pass_time(0.0)
+        team.robots[3].frozen = True
+        command = StopCommand(LAB, team.watched, "test")
+        for _ in range(20):
+            team.robots[3].beat()
+            team.pass_time(0.05)
+            command.advance()
+        assert command.outcome().done == [robot for robot in LAB.ids if robot != 3]
+        assert "disarmed, here, heard 0.0 s ago" in command.outcome().missing[3]
+
+    def test_not_confirmed_by_armed_robot(self) -> None:
+        team = ScriptedTeam()
+        team.robots[2].obey = lambda: None
+        team.robots[2].armed, team.robots[2].latch = True, StopLatch(stop=MAX_STOP)
+        outcome = stop(LAB, team.watched, "test")
+        assert list(outcome.missing) == [2] and outcome.missing[2].startswith("armed, here, heard")
+
+    def test_silent_robot_reported_with_last_state_and_age(self) -> None:
+        team = ScriptedTeam()
+        team.robots[5].armed = True
+        team.pass_time(0.0)
+        team.robots[5].frozen = True
+        outcome = stop(LAB, team.watched, "test")
+        assert outcome.missing == {5: f"armed, here, heard {SETTLE_S:.1f} s ago"}
+        assert outcome_lines("stopped", outcome) == [
+            "stopped: 0, 1, 2, 3, 4",
+            f"NOT stopped: robot 5: armed, here, heard {SETTLE_S:.1f} s ago",
+        ]
+        never = ScriptedTeam()
+        never.robots[0].frozen = True
+        assert stop(LAB, never.watched, "test").missing == {0: "never heard"}
+
+    def test_not_confirmed_by_ambiguous_name(self) -> None:
+        team = ScriptedTeam()
+        twin = ScriptedRobot(team, 4)
+        pass_time = team.watched.listen
+
+        def both(timeout_s: float) -> None:
+            pass_time(timeout_s)
+            twin.obey()
+            twin.beat()
+            team.air.advance(team.now_s)
+
+        team.watched.listen = both
+        for _ in range(3):
+            both(0.0)
+        assert stop(LAB, team.watched, "test").missing == {4: "two processes are named robot/4"}
+
+    def test_sent_immediately_and_repeated(self) -> None:
+        team = ScriptedTeam()
+        team.robots[0].frozen = True
+        stop(LAB, team.watched, "test")
+        team.robots[0].obey()
+        stops = [one for one in team.robots[0].commands if isinstance(one.message, Stop)]
+        assert stops[0].sent_s == 1000.0 and len({one.latch.stop for one in stops}) == 1
+        assert len(stops) == pytest.approx(SETTLE_S / REPEAT_S, abs=3)
+
+    def test_lagging_operator_clock_learns_the_numbers(self) -> None:
+        team = ScriptedTeam()
+        ahead = StopLatch(stop=10**12, cleared=10**12)
+        for robot in team.robots.values():
+            robot.latch, robot.armed = ahead, True
+        outcome = stop(LAB, team.watched, "test")
+        assert outcome.is_complete and team.watched.latch.stop == 10**12 + 1
+
+    def test_override_by_newer_arm_reported(self) -> None:
+        team = ScriptedTeam()
+        team.robots[0].frozen = True
+        command = StopCommand(LAB, team.watched, "test")
+        for step in range(60):
+            team.pass_time(0.05)
+            if step == 40:
+                team.robots[1].latch = team.robots[1].latch.with_arm()
+            command.advance()
+        assert command.outcome().failure == "a newer arm command overrides the stop"
+        assert not command.outcome().is_complete
 
 
-def test_an_old_heartbeat_does_not_confirm_a_stop() -> None:
-    """It was sent before the stop, says that the robot is disarmed, and arrives after the stop."""
-    team = ScriptedTeam()
-    team.pass_time(0.0)
-    team.robots[3].frozen = True
-    command = StopCommand(LAB, team.watched, "test")
-    for _ in range(20):
-        team.robots[3].beat()
-        team.pass_time(0.05)
-        command.advance()
-    assert command.outcome().done == [robot for robot in LAB.ids if robot != 3]
-    assert "disarmed, here, heard 0.0 s ago" in command.outcome().missing[3]
+class TestArm:
+    def test_learns_the_stop_before_clearing_it(self) -> None:
+        team = ScriptedTeam()
+        for robot in team.robots.values():
+            robot.latch = StopLatch(stop=70)
+        outcome = arm(LAB, team.watched)
+        assert outcome.is_complete and outcome.done == LAB.ids
+        assert team.watched.latch == StopLatch(70, 70)
 
+    def test_cancelled_by_newer_stop(self) -> None:
+        team = ScriptedTeam()
+        team.robots[5].frozen = True
+        team.pass_time(0.0)
+        command = ArmCommand(LAB, team.watched)
+        for step in range(60):
+            team.pass_time(0.05)
+            if step == 20:
+                team.robots[1].latch = StopLatch(stop=99)
+            if command.advance():
+                break
+        assert 20 <= step <= 22
+        assert command.outcome().failure == "a stop is newer than this command"
+        assert command.outcome().done == []
 
-def test_a_robot_that_says_it_is_armed_does_not_confirm_a_stop() -> None:
-    team = ScriptedTeam()
-    team.robots[2].obey = lambda: None
-    team.robots[2].armed, team.robots[2].latch = True, StopLatch(stop=MAX_STOP)
-    outcome = stop(LAB, team.watched, "test")
-    assert list(outcome.missing) == [2] and outcome.missing[2].startswith("armed, here, heard")
+    def test_names_each_robot_until_it_is_armed(self) -> None:
+        """The same command does not arm a robot again that was disarmed, by a restart for example."""
+        team = ScriptedTeam()
+        team.robots[5].ready = False
+        command = ArmCommand(LAB, team.watched)
+        for _ in range(20):
+            team.pass_time(0.05)
+            command.advance()
+        assert command.outcome().done == [0, 1, 2, 3, 4]
+        team.robots[0].armed = False
+        for _ in range(20):
+            team.pass_time(0.05)
+            command.advance()
+        assert not team.robots[0].armed
+        last = [one for one in team.robots[5].commands if isinstance(one.message, Arm)][-1]
+        assert set(last.message.sessions) == {"robot/5"}
 
-
-def test_the_last_state_of_a_silent_robot_is_reported_with_its_age() -> None:
-    team = ScriptedTeam()
-    team.robots[5].armed = True
-    team.pass_time(0.0)
-    team.robots[5].frozen = True
-    outcome = stop(LAB, team.watched, "test")
-    assert outcome.missing == {5: f"armed, here, heard {SETTLE_S:.1f} s ago"}
-    assert outcome_lines("stopped", outcome) == [
-        "stopped: 0, 1, 2, 3, 4",
-        f"NOT stopped: robot 5: armed, here, heard {SETTLE_S:.1f} s ago",
-    ]
-    never = ScriptedTeam()
-    never.robots[0].frozen = True
-    assert stop(LAB, never.watched, "test").missing == {0: "never heard"}
-
-
-def test_a_robot_of_two_processes_does_not_confirm_a_stop() -> None:
-    team = ScriptedTeam()
-    twin = ScriptedRobot(team, 4)
-    pass_time = team.watched.listen
-
-    def both(timeout_s: float) -> None:
-        pass_time(timeout_s)
-        twin.obey()
-        twin.beat()
-        team.air.advance(team.now_s)
-
-    team.watched.listen = both
-    for _ in range(3):
-        both(0.0)
-    assert stop(LAB, team.watched, "test").missing == {4: "two processes are named robot/4"}
-
-
-def test_a_stop_is_sent_at_once_and_repeated() -> None:
-    team = ScriptedTeam()
-    team.robots[0].frozen = True
-    stop(LAB, team.watched, "test")
-    team.robots[0].obey()
-    stops = [one for one in team.robots[0].commands if isinstance(one.message, Stop)]
-    assert stops[0].sent_s == 1000.0 and len({one.latch.stop for one in stops}) == 1
-    assert len(stops) == pytest.approx(SETTLE_S / REPEAT_S, abs=3)
-
-
-def test_an_operator_whose_clock_is_behind_learns_the_numbers() -> None:
-    team = ScriptedTeam()
-    ahead = StopLatch(stop=10**12, cleared=10**12)
-    for robot in team.robots.values():
-        robot.latch, robot.armed = ahead, True
-    outcome = stop(LAB, team.watched, "test")
-    assert outcome.is_complete and team.watched.latch.stop == 10**12 + 1
-
-
-def test_a_stop_that_is_overridden_knowingly_is_reported() -> None:
-    team = ScriptedTeam()
-    team.robots[0].frozen = True
-    command = StopCommand(LAB, team.watched, "test")
-    for step in range(60):
-        team.pass_time(0.05)
-        if step == 40:
-            team.robots[1].latch = team.robots[1].latch.with_arm()
-        command.advance()
-    assert command.outcome().failure == "a newer arm command overrides the stop"
-    assert not command.outcome().is_complete
-
-
-def test_arming_learns_the_stop_first_and_clears_it() -> None:
-    team = ScriptedTeam()
-    for robot in team.robots.values():
-        robot.latch = StopLatch(stop=70)
-    outcome = arm(LAB, team.watched)
-    assert outcome.is_complete and outcome.done == LAB.ids
-    assert team.watched.latch == StopLatch(70, 70)
-
-
-def test_arming_is_given_up_at_a_newer_stop() -> None:
-    team = ScriptedTeam()
-    team.robots[5].frozen = True
-    team.pass_time(0.0)
-    command = ArmCommand(LAB, team.watched)
-    for step in range(60):
-        team.pass_time(0.05)
-        if step == 20:
-            team.robots[1].latch = StopLatch(stop=99)
-        if command.advance():
-            break
-    assert 20 <= step <= 22
-    assert command.outcome().failure == "a stop is newer than this command"
-    assert command.outcome().done == []
-
-
-def test_arming_names_each_robot_until_it_is_armed() -> None:
-    """A robot that is disarmed later, by a restart for example, is not armed again by the same command."""
-    team = ScriptedTeam()
-    team.robots[5].ready = False
-    command = ArmCommand(LAB, team.watched)
-    for _ in range(20):
-        team.pass_time(0.05)
-        command.advance()
-    assert command.outcome().done == [0, 1, 2, 3, 4]
-    team.robots[0].armed = False
-    for _ in range(20):
-        team.pass_time(0.05)
-        command.advance()
-    assert not team.robots[0].armed
-    last = [one for one in team.robots[5].commands if isinstance(one.message, Arm)][-1]
-    assert set(last.message.sessions) == {"robot/5"}
-
-
-def test_arming_after_a_forged_stop_says_what_to_do() -> None:
-    team = ScriptedTeam()
-    team.robots[3].latch = StopLatch(stop=MAX_STOP)
-    outcome = arm(LAB, team.watched)
-    assert outcome.done == [] and "restart the whole team" in outcome.failure
-    assert stop(LAB, team.watched, "test").is_complete, "a stop still holds"
+    def test_after_forged_stop_reports_remedy(self) -> None:
+        team = ScriptedTeam()
+        team.robots[3].latch = StopLatch(stop=MAX_STOP)
+        outcome = arm(LAB, team.watched)
+        assert outcome.done == [] and "restart the whole team" in outcome.failure
+        assert stop(LAB, team.watched, "test").is_complete, "a stop still holds"
 
 
 class Lines(list):
@@ -216,70 +208,111 @@ def session_of(team: ScriptedTeam, *, arms: bool) -> tuple[Session, Lines]:
     return Session(LAB, team.watched, lines, arms=arms), lines
 
 
-def test_a_session_arms_once_all_robots_are_ready() -> None:
+class TestSession:
+    def test_arms_when_all_robots_are_ready(self) -> None:
+        team = ScriptedTeam()
+        team.robots[2].ready = False
+        session, lines = session_of(team, arms=True)
+        for _ in range(30):
+            session.step("", 0.05)
+        assert session.arms and not any(robot.armed for robot in team.robots.values())
+        team.robots[2].ready = True
+        for _ in range(30):
+            session.step("", 0.05)
+        assert lines == ["armed: 0, 1, 2, 3, 4, 5"]
+
+    def test_arms_no_robot_twice(self) -> None:
+        team = ScriptedTeam()
+        session, lines = session_of(team, arms=True)
+        for _ in range(20):
+            session.step("", 0.05)
+        team.robots[4].armed = False
+        heard = len(team.robots[4].commands)
+        for _ in range(100):
+            session.step("", 0.05)
+        assert not team.robots[4].armed and len(team.robots[4].commands) == heard and len(lines) == 1
+
+    def test_stop_of_any_operator_cancels_pending_arm(self) -> None:
+        team = ScriptedTeam()
+        team.robots[2].frozen = True
+        session, lines = session_of(team, arms=True)
+        for _ in range(10):
+            session.step("", 0.05)
+        team.robots[1].latch = StopLatch(stop=5)
+        session.step("", 0.05)
+        team.robots[2].frozen = False
+        for _ in range(50):
+            session.step("", 0.05)
+        assert not session.arms and not any(robot.armed for robot in team.robots.values())
+        assert lines == ["the team was stopped: press a to arm the robots"]
+        for _ in range(20):
+            session.step("a" if _ == 0 else "", 0.05)
+        assert lines[1:] == ["armed: 0, 1, 2, 3, 4, 5"]
+
+    def test_space_bar_stops_before_messages_are_read(self) -> None:
+        team = ScriptedTeam()
+        session, lines = session_of(team, arms=True)
+        for _ in range(20):
+            session.step("", 0.05)
+        session.step(" ", 0.05)
+        assert not any(robot.armed for robot in team.robots.values())
+        for _ in range(5):
+            session.step("", 0.05)
+        assert lines[-1] == "stopped: 0, 1, 2, 3, 4, 5"
+
+    def test_heartbeat_carries_stop_to_restarted_processes(self) -> None:
+        team = ScriptedTeam()
+        session, _ = session_of(team, arms=False)
+        session.step(" ", 0.05)
+        heard = []
+        newcomer = Mailbox(
+            team.air.radio("unit/0"), LAB.model.team, "unit/0", lambda: team.now_s, ("heartbeat/**",)
+        )
+        for _ in range(10):
+            session.step("", 0.05)
+        heard = [arrival.envelope for arrival in newcomer.fetch() if arrival.envelope.sender == "operator"]
+        assert heard and all(envelope.latch.stopped for envelope in heard)
+
+
+def test_a_silent_robot_is_reported_by_what_units_heard_of_it() -> None:
+    """The operator has just started; a unit, whose clock is 50 s ahead, heard the robot 2 s before."""
     team = ScriptedTeam()
-    team.robots[2].ready = False
-    session, lines = session_of(team, arms=True)
-    for _ in range(30):
-        session.step("", 0.05)
-    assert session.arms and not any(robot.armed for robot in team.robots.values())
-    team.robots[2].ready = True
-    for _ in range(30):
-        session.step("", 0.05)
-    assert lines == ["armed: 0, 1, 2, 3, 4, 5"]
+    team.robots[0].frozen = True
+    clock = lambda: team.now_s + 50.0  # noqa: E731
+    unit = Mailbox(team.air.radio("unit/0"), LAB.model.team, "unit/0", clock, ())
+    heard_s = clock() - 2.0
+    pass_time = team.watched.listen
+
+    def with_unit(timeout_s: float) -> None:
+        unit.send(Heartbeat({"robot/0": (1.0, heard_s)}))
+        pass_time(timeout_s)
+
+    team.watched.listen = with_unit
+    outcome = stop(LAB, team.watched, "test")
+    assert outcome.missing == {0: f"silent; unit/0 heard it {2.0 + SETTLE_S:.1f} s ago"}
 
 
-def test_a_session_arms_no_robot_twice() -> None:
+@pytest.mark.parametrize(
+    ("outcome", "complete"),
+    [
+        (Outcome([1], {}), True),
+        (Outcome([1], {2: "never heard"}), False),
+        (Outcome([1], {}, "a stop is newer"), False),
+    ],
+)
+def test_outcome_is_complete_without_missing_and_failure(outcome, complete) -> None:
+    assert outcome.is_complete == complete
+
+
+@pytest.mark.parametrize(("cleared", "counts"), [(6, False), (7, True), (8, True)])
+def test_armed_robot_counts_if_it_knows_the_cleared_stop(cleared, counts) -> None:
+    """A heartbeat with a lower number was sent before the arm command."""
     team = ScriptedTeam()
-    session, lines = session_of(team, arms=True)
-    for _ in range(20):
-        session.step("", 0.05)
-    team.robots[4].armed = False
-    heard = len(team.robots[4].commands)
-    for _ in range(100):
-        session.step("", 0.05)
-    assert not team.robots[4].armed and len(team.robots[4].commands) == heard and len(lines) == 1
-
-
-def test_a_stop_from_anywhere_cancels_a_pending_arm() -> None:
-    team = ScriptedTeam()
-    team.robots[2].frozen = True
-    session, lines = session_of(team, arms=True)
-    for _ in range(10):
-        session.step("", 0.05)
-    team.robots[1].latch = StopLatch(stop=5)
-    session.step("", 0.05)
-    team.robots[2].frozen = False
-    for _ in range(50):
-        session.step("", 0.05)
-    assert not session.arms and not any(robot.armed for robot in team.robots.values())
-    assert lines == ["the team was stopped: robots are not armed until the key a is pressed"]
-    for _ in range(20):
-        session.step("a" if _ == 0 else "", 0.05)
-    assert lines[1:] == ["armed: 0, 1, 2, 3, 4, 5"]
-
-
-def test_the_space_bar_stops_before_anything_is_read() -> None:
-    team = ScriptedTeam()
-    session, lines = session_of(team, arms=True)
-    for _ in range(20):
-        session.step("", 0.05)
-    session.step(" ", 0.05)
-    assert not any(robot.armed for robot in team.robots.values())
-    for _ in range(5):
-        session.step("", 0.05)
-    assert lines[-1] == "stopped: 0, 1, 2, 3, 4, 5"
-
-
-def test_a_session_tells_restarted_processes_of_the_stop() -> None:
-    team = ScriptedTeam()
-    session, _ = session_of(team, arms=False)
-    session.step(" ", 0.05)
-    heard = []
-    newcomer = Mailbox(
-        team.air.radio("unit/0"), LAB.model.team, "unit/0", lambda: team.now_s, ("heartbeat/**",)
-    )
-    for _ in range(10):
-        session.step("", 0.05)
-    heard = [arrival.envelope for arrival in newcomer.fetch() if arrival.envelope.sender == "operator"]
-    assert heard and all(envelope.latch.stopped for envelope in heard)
+    team.watched.latch = StopLatch(stop=7)
+    command = ArmCommand(LAB, team.watched)
+    team.robots[3].frozen = True
+    team.robots[3].armed, team.robots[3].latch = True, StopLatch(stop=7, cleared=cleared)
+    team.robots[3].beat()
+    team.pass_time(0.05)
+    command.advance()
+    assert (3 in command.outcome().done) == counts

@@ -1,4 +1,4 @@
-"""What is refused before a lab starts, when a run ends, and its keys: a stop is never lost among others."""
+"""Runs of a lab: refused input, the end of a run, keys and the supervisor."""
 
 import os
 import pty
@@ -16,74 +16,80 @@ from skyherd.live.session import _keys
 from skyherd.live.supervisor import Child, Supervisor
 
 
-@pytest.mark.parametrize("verb", ["unit", "robot"])
-@pytest.mark.parametrize("offset", ["nan", "inf", "1e300", "-86401"])
-def test_a_clock_that_is_off_is_off_by_a_number_of_seconds(capsys, tmp_path, verb, offset) -> None:
-    code, out, err = call(capsys, verb, "webcams", 0, "--out", tmp_path / "run", "--clock-offset", offset)
-    assert code == 2 and not out and len(err.splitlines()) == 1
-    assert f"--clock-offset: {float(offset):g}; a number of seconds, 86400 at most either way" in err
-    assert not (tmp_path / "run").exists()
+@pytest.fixture(autouse=True)
+def own_locks(monkeypatch, tmp_path) -> None:
+    """Tests that run side by side use the same example lab, and must not meet at its name."""
+    monkeypatch.setattr("skyherd.live.name_locks.lock_folder", lambda: tmp_path / "locks")
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "complaint"),
-    [
-        ("--cameras", ",", "--cameras: address 1 is empty; 2 with commas between"),
-        ("--cameras", "", "the argument after --cameras: is empty; "),
-        ("--cameras", "a.mp4, ", "--cameras: address 2 is empty; "),
-        ("--cameras", "a.mp4", "--cameras: 1 addresses; 2, as in the lab"),
-        ("--duration", "nan", "--duration: nan; a number of seconds above 0"),
-        ("--duration", "inf", "--duration: inf; a number of seconds above 0"),
-        ("--duration", "0", "--duration: 0; a number of seconds above 0"),
-        ("--duration", "-5", "--duration: -5; a number of seconds above 0"),
-    ],
-)
-def test_options_of_a_run_that_mean_nothing_are_refused_first(
-    capsys, tmp_path, monkeypatch, option, value, complaint
-) -> None:
-    monkeypatch.setattr("skyherd.live.session.ZenohRadio", None)
-    code, out, err = call(capsys, "live", "run", "webcams", "--out", tmp_path / "run", option, value)
-    assert code == 2 and not out and len(err.splitlines()) == 1 and complaint in err
-    assert not (tmp_path / "run").exists()
+class TestInput:
+    @pytest.mark.parametrize("verb", ["unit", "robot"])
+    @pytest.mark.parametrize("offset", ["nan", "inf", "1e300", "-86401"])
+    def test_invalid_clock_offset_is_refused(self, capsys, tmp_path, verb, offset) -> None:
+        code, out, err = call(capsys, verb, "webcams", 0, "--out", tmp_path / "run", "--clock-offset", offset)
+        assert code == 2 and not out and len(err.splitlines()) == 1
+        assert f"--clock-offset: {float(offset):g}; a number of seconds, 86400 at most either way" in err
+        assert not (tmp_path / "run").exists()
 
+    @pytest.mark.parametrize(
+        ("option", "value", "complaint"),
+        [
+            ("--cameras", ",", "--cameras: address 1 is empty; 2 with commas between"),
+            ("--cameras", "", "the argument after --cameras: is empty; "),
+            ("--cameras", "a.mp4, ", "--cameras: address 2 is empty; "),
+            ("--cameras", "a.mp4", "--cameras: 1 addresses; 2, as in the lab"),
+            ("--duration", "nan", "--duration: nan; a number of seconds above 0"),
+            ("--duration", "inf", "--duration: inf; a number of seconds above 0"),
+            ("--duration", "0", "--duration: 0; a number of seconds above 0"),
+            ("--duration", "-5", "--duration: -5; a number of seconds above 0"),
+        ],
+    )
+    def test_invalid_options_are_refused_before_start(
+        self, capsys, tmp_path, monkeypatch, option, value, complaint
+    ) -> None:
+        monkeypatch.setattr("skyherd.live.session.ZenohRadio", None)
+        code, out, err = call(capsys, "live", "run", "webcams", "--out", tmp_path / "run", option, value)
+        assert code == 2 and not out and len(err.splitlines()) == 1 and complaint in err
+        assert not (tmp_path / "run").exists()
 
-def test_an_empty_address_does_not_stand_for_the_lab_s_camera(capsys, tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("skyherd.live.zenoh_radio.ZenohRadio", None)
-    code, out, err = call(capsys, "unit", "webcams", 0, "--out", tmp_path / "run", "--camera", "")
-    assert code == 2 and not out and "the argument after --camera: is empty; " in err
+    def test_empty_camera_address_is_refused(self, capsys, tmp_path, monkeypatch) -> None:
+        monkeypatch.setattr("skyherd.live.zenoh_radio.ZenohRadio", None)
+        code, out, err = call(capsys, "unit", "webcams", 0, "--out", tmp_path / "run", "--camera", "")
+        assert code == 2 and not out and "the argument after --camera: is empty; " in err
 
+    @pytest.mark.parametrize(
+        ("options", "complaint"),
+        [
+            ([], "webcams: cameras.0.address: /dev/video70: no such camera; devices that are there: "),
+            (["--cameras", "{0}/a.mp4,{0}/b.mp4"], "--cameras: address 1: {0}/a.mp4: "),
+            (["--cameras", "tcp://127.0.0.1:9,{0}/notes.txt"], "--cameras: address 2: {0}/notes.txt: "),
+            (["--cameras", "tcp://127.0.0.1:9,nothing"], "--cameras: address 2: no camera 'nothing'; "),
+            (["--set", "robots.3.driver=foo"], "--set robots.3.driver: no driver 'foo'; "),
+            (
+                ["--set", "robots.3.driver=os:path"],
+                "webcams: robots.3.driver: os:path: 'path' is not callable; ",
+            ),
+        ],
+    )
+    def test_invalid_cameras_and_drivers_refused_before_start(
+        self, capsys, tmp_path, monkeypatch, options, complaint
+    ) -> None:
+        monkeypatch.setattr("skyherd.live.session.ZenohRadio", None)
+        (tmp_path / "notes.txt").write_text("no video")
+        run = ["live", "run", "webcams", "--out", tmp_path / "run", "--set", "cameras.*.address=/dev/video70"]
+        code, out, err = call(capsys, *run, *(option.format(tmp_path) for option in options))
+        assert code == 2 and not out and len(err.splitlines()) == 1 and complaint.format(tmp_path) in err
+        assert not (tmp_path / "run").exists()
 
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        ([], "webcams: cameras.0.address: /dev/video70: no such camera; devices that are there: "),
-        (["--cameras", "{0}/a.mp4,{0}/b.mp4"], "--cameras: address 1: {0}/a.mp4: "),
-        (["--cameras", "tcp://127.0.0.1:9,{0}/notes.txt"], "--cameras: address 2: {0}/notes.txt: "),
-        (["--cameras", "tcp://127.0.0.1:9,nothing"], "--cameras: address 2: no camera 'nothing'; "),
-        (["--set", "robots.3.driver=foo"], "lab webcams: robots.3.driver: no driver 'foo'; "),
-        (["--set", "robots.3.driver=os:path"], "webcams: robots.3.driver: os:path: 'path' is not callable; "),
-    ],
-)
-def test_cameras_and_drivers_that_cannot_be_are_refused_before_anything_starts(
-    capsys, tmp_path, monkeypatch, options, complaint
-) -> None:
-    monkeypatch.setattr("skyherd.live.session.ZenohRadio", None)
-    (tmp_path / "notes.txt").write_text("no video")
-    run = ["live", "run", "webcams", "--out", tmp_path / "run", "--set", "cameras.*.address=/dev/video70"]
-    code, out, err = call(capsys, *run, *(option.format(tmp_path) for option in options))
-    assert code == 2 and not out and len(err.splitlines()) == 1 and complaint.format(tmp_path) in err
-    assert not (tmp_path / "run").exists()
-
-
-def test_streams_and_folders_are_not_asked_for(tmp_path) -> None:
-    check_camera("rtsp://user:secret@no-such-host.invalid/1")
-    check_camera(str(tmp_path))
-    with pytest.raises(InputError, match="no address"):
-        check_camera("ftp://host/1")
+    def test_check_camera_opens_no_streams_or_folders(self, tmp_path) -> None:
+        check_camera("rtsp://user:secret@no-such-host.invalid/1")
+        check_camera(str(tmp_path))
+        with pytest.raises(InputError, match="no address"):
+            check_camera("ftp://host/1")
 
 
 class Silence:
-    """A radio that nobody else is at."""
+    """Radio without other processes."""
 
     def __init__(self, *places, **options) -> None:
         pass
@@ -109,7 +115,7 @@ while "ended with code 2" not in pathlib.Path(sys.argv[1], "live.log").read_text
 @pytest.mark.parametrize(
     ("programs", "code", "lines"),
     [
-        ({"unit/": FAILS}, 2, ["no unit is left", "ended with code 2: unit/0, unit/1; live.log says"]),
+        ({"unit/": FAILS}, 2, ["no unit is left", "ended with code 2: unit/0, unit/1; see live.log"]),
         (
             {"robot/": FAILS},
             2,
@@ -119,11 +125,11 @@ while "ended with code 2" not in pathlib.Path(sys.argv[1], "live.log").read_text
         (
             {"unit/": ENDS_AFTER_A_FAILURE, "robot/2": FAILS},
             2,
-            ["no unit is left", "ended with code 2: robot/2; live.log says"],
+            ["no unit is left", "ended with code 2: robot/2; see live.log"],
         ),
     ],
 )
-def test_a_run_ends_when_nobody_is_left_and_tells_of_wrong_input_by_its_exit_code(
+def test_run_without_units_or_robots_ends_with_exit_code(
     capsys, tmp_path, monkeypatch, programs, code, lines
 ) -> None:
     folder = tmp_path / "run"
@@ -138,14 +144,14 @@ def test_a_run_ends_when_nobody_is_left_and_tells_of_wrong_input_by_its_exit_cod
     found, out, _ = call(capsys, "live", "run", "webcams", "--out", folder, "--cameras", streams)
     assert found == code
     for text in (out, (folder / "live.log").read_text()):
-        told = [line.partition(" live ")[2].strip() for line in text.splitlines()]
-        told = [line for line in told if "left" in line or "code" in line]
-        assert len(told) == len(lines) and all(map(str.startswith, told, lines)), told
+        printed = [line.partition(" live ")[2].strip() for line in text.splitlines()]
+        printed = [line for line in printed if "left" in line or "code" in line]
+        assert len(printed) == len(lines) and all(map(str.startswith, printed, lines)), printed
 
 
 @pytest.fixture
 def keyboard(monkeypatch):
-    """A terminal as standard input: the end that a person types at."""
+    """Yield the typing end of a pseudo terminal that replaces the standard input."""
     person, terminal = pty.openpty()
     tty.setcbreak(terminal)
     with os.fdopen(terminal) as stream:
@@ -154,7 +160,7 @@ def keyboard(monkeypatch):
     os.close(person)
 
 
-def test_the_space_bar_counts_wherever_it_is_among_keys(keyboard):
+def test_space_bar_has_priority_among_keys(keyboard):
     with _keys() as key:
         assert key() == ""
         for typed, meant in (
@@ -170,39 +176,39 @@ def test_the_space_bar_counts_wherever_it_is_among_keys(keyboard):
             assert key() == "", "all that was typed was read"
 
 
-def test_lines_of_several_processes_are_not_glued(tmp_path) -> None:
-    """Each is told by a thread of its own, in two writes, as to a terminal."""
-    written = []
+class TestSupervisor:
+    def test_lines_of_several_threads_stay_separate(self, tmp_path) -> None:
+        """Each process has a thread, and each line takes two writes, as on a terminal."""
+        written = []
 
-    def tell(line: str) -> None:
-        written.append(line)
-        time.sleep(0.001)
-        written.append("\n")
+        def tell(line: str) -> None:
+            written.append(line)
+            time.sleep(0.001)
+            written.append("\n")
 
-    supervisor = Supervisor(tmp_path / "live.log", tell)
-    threads = [
-        threading.Thread(target=lambda name=name: [supervisor.say(name, str(n)) for n in range(20)])
-        for name in ("robot/1", "robot/2", "unit/0")
-    ]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    supervisor.end()
-    assert written[1::2] == ["\n"] * 60 and "\n" not in written[::2]
+        supervisor = Supervisor(tmp_path / "live.log", tell)
+        threads = [
+            threading.Thread(target=lambda name=name: [supervisor.say(name, str(n)) for n in range(20)])
+            for name in ("robot/1", "robot/2", "unit/0")
+        ]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        supervisor.end()
+        assert written[1::2] == ["\n"] * 60 and "\n" not in written[::2]
 
-
-def test_an_end_names_the_processes_that_survive_it(tmp_path, monkeypatch) -> None:
-    """A process that waits for a device cannot be killed: here killing does nothing."""
-    supervisor = Supervisor(tmp_path / "live.log")
-    monkeypatch.setattr("skyherd.live.supervisor.END_S", 0.1)
-    monkeypatch.setattr("skyherd.live.supervisor.KILL_S", 0.1)
-    child = Child("robot/1", [sys.executable, "-c", "import sys; sys.stdin.read()"])
-    supervisor.take(child)
-    process = child.process
-    monkeypatch.setattr(process, "terminate", lambda: None)
-    kill = process.kill
-    monkeypatch.setattr(process, "kill", lambda: None)
-    assert supervisor.end() == ["robot/1"]
-    kill()
-    process.wait()
+    def test_end_returns_surviving_processes(self, tmp_path, monkeypatch) -> None:
+        """A process that waits for a device cannot be killed. Here, `kill` has no effect."""
+        supervisor = Supervisor(tmp_path / "live.log")
+        monkeypatch.setattr("skyherd.live.supervisor.END_S", 0.1)
+        monkeypatch.setattr("skyherd.live.supervisor.KILL_S", 0.1)
+        child = Child("robot/1", [sys.executable, "-c", "import sys; sys.stdin.read()"])
+        supervisor.take(child)
+        process = child.process
+        monkeypatch.setattr(process, "terminate", lambda: None)
+        kill = process.kill
+        monkeypatch.setattr(process, "kill", lambda: None)
+        assert supervisor.end() == ["robot/1"]
+        kill()
+        process.wait()

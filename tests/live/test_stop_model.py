@@ -1,10 +1,10 @@
 """Model checking of the latched stop: every order of delivery, with loss, repetition and restarts.
 
-The model has one robot, one unit and two operators, built from the classes that live processes use. A message
-that was sent stays in the network for ever and may be delivered to anybody at any time and any number of
-times: that covers lost, late, repeated and reordered messages, and frozen processes, which receive nothing
-for a while. Robot and unit may restart and forget everything. The numbers of stops, arm commands and restarts
-are bounded, and all reachable states are visited.
+The model has one robot, one unit and two operators, built from the classes of the live processes. A sent
+message stays in the network, which may deliver it to any process, at any time and any number of times. That
+covers message loss, latency, repetition and reordering, and frozen processes, which receive nothing for a
+while. Robot and unit may restart without memory. The numbers of stops, arm commands and restarts are bounded,
+and the test visits all reachable states.
 """
 
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ FRESH = ArmState()
 
 
 class Session(NamedTuple):
-    """What an arm command names: the robot's start, and how often it was disarmed since."""
+    """Session in an arm command: start of the robot, and number of times disarmed since."""
 
     start: int
     disarmed_count: int
@@ -30,8 +30,8 @@ class Message(NamedTuple):
 
     Attributes:
         kind: heartbeat, goal, stop, or arm.
-        latch: of its sender.
-        session: of the robot that it comes from or that it arms.
+        latch: latch of its sender.
+        session: session of the sending robot, or of the robot to arm.
     """
 
     kind: str
@@ -40,7 +40,7 @@ class Message(NamedTuple):
 
 
 class Issued(NamedTuple):
-    """A stop with its number, or an arm command with what its sender knew."""
+    """A stop with its number, or an arm command with the knowledge of its sender."""
 
     kind: str
     number: int
@@ -49,11 +49,11 @@ class Issued(NamedTuple):
 
 @dataclass(frozen=True)
 class State:
-    """All processes, the network, and for the checks alone what was issued and learnt.
+    """All processes and the network. Only the checks use the issued commands and learnt stops.
 
     Attributes:
         learnt: the largest stop number that reached the robot and the unit since they started.
-        budget: stops, arm commands and restarts that are left.
+        budget: remaining stops, arm commands and restarts.
     """
 
     robot: ArmState = FRESH
@@ -72,7 +72,7 @@ class State:
 
 @dataclass(frozen=True)
 class Rules:
-    """The rules that the processes follow; negative controls break one of them."""
+    """Rules of the processes. Each negative control breaks one of them."""
 
     def stop(self, known: StopLatch) -> StopLatch:
         return known.with_stop(0.0)
@@ -96,7 +96,7 @@ class Rules:
 
 
 def announced(state: State, rules: Rules) -> State:
-    """Put into the network what the processes may send in this state; they may send it at any time."""
+    """Return the state with all messages in the network that the processes may send."""
     sent = {Message("heartbeat", state.robot.latch, state.session), Message("heartbeat", state.unit)}
     sent |= {Message("heartbeat", latch) for latch in state.operators}
     if rules.sends_goals(state.unit):
@@ -151,17 +151,16 @@ def with_operator(state: State, who: int, latch: StopLatch) -> State:
 
 
 def violation(state: State, rules: Rules) -> str | None:
-    """Return which guarantee a state breaks, or None.
+    """Return the guarantee that a state violates, or None.
 
-    The checks use the model's own account of which command was issued with which knowledge, and of what has
-    reached whom.
+    The checks use the model's own records of issued commands, the knowledge of their senders, and deliveries.
     """
     stops = [one.number for one in state.issued if one.kind == "stop"]
     arms = [one for one in state.issued if one.kind == "arm"]
     robot_learnt, unit_learnt = state.learnt
 
     def drives_against_a_stop(robot: ArmState, learnt: int) -> bool:
-        """Return whether a robot is armed by a command whose sender did not know a stop that it learnt of."""
+        """Return whether a robot is armed by a command in ignorance of a stop that the robot learnt of."""
         known = max((arm.known.stop for arm in arms if arm.number == robot.armed_at), default=-1)
         return robot.armed and (known < 0 or any(known < stop <= learnt for stop in stops))
 
@@ -178,7 +177,7 @@ def violation(state: State, rules: Rules) -> str | None:
             if drives_against_a_stop(robot, max(robot_learnt, message.latch.stop)):
                 return "a robot drives by a goal that carries a stop"
     if any(cleared < stop for stop in stops):
-        # Nobody cleared the newest stop: once all processes have heard of each other, all stand still.
+        # No command cleared the newest stop: once all processes have heard of each other, all stand still.
         robot = rules.hear(state.robot, Message("heartbeat", latch), state.session)
         if robot.armed or rules.sends_goals(rules.merge(state.unit, latch)):
             return "a stop that nobody cleared does not hold in the end"
@@ -202,27 +201,27 @@ def explore(rules: Rules, budget: tuple[int, int, int]) -> tuple[int, str | None
 
 
 @pytest.mark.parametrize("budget", [(1, 1, 0), (2, 1, 0), (1, 1, 1)])
-def test_no_order_of_messages_undoes_a_stop(budget) -> None:
+def test_stop_holds_under_every_order_of_messages(budget) -> None:
     states, found = explore(Rules(), budget)
     assert found is None and states > 50
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("budget", [(2, 2, 0), (2, 1, 1)])
-def test_no_longer_order_of_messages_undoes_a_stop(budget) -> None:
+def test_stop_holds_under_longer_orders_of_messages(budget) -> None:
     states, found = explore(Rules(), budget)
     assert found is None and states > 1000
 
 
 class ArmOutranks(Rules):
-    """An arm command clears stops that its sender does not know, as the newest of all commands would."""
+    """Broken rule: an arm command clears stops that its sender does not know."""
 
     def arm(self, known: StopLatch) -> StopLatch:
         return replace(known, cleared=max(known.stop, known.cleared) + 1)
 
 
 class NewestMessageWins(Rules):
-    """Processes take over the numbers of the message that arrived last."""
+    """Broken rule: processes adopt the numbers of the last message."""
 
     def merge(self, known: StopLatch, heard: StopLatch) -> StopLatch:
         return heard
@@ -232,7 +231,7 @@ class NewestMessageWins(Rules):
 
 
 class StopCarriesNoNumber(Rules):
-    """Only the message of the stop itself stops a robot: the team as it was before stops were latched."""
+    """Broken rule: only the stop message itself stops a robot, without a latch."""
 
     def hear(self, robot: ArmState, message: Message, session: Session) -> ArmState:
         if message.kind == "stop":
@@ -243,14 +242,14 @@ class StopCarriesNoNumber(Rules):
 
 
 class UnitIgnoresStop(Rules):
-    """Units go on sending goals."""
+    """Broken rule: stopped units send goals."""
 
     def sends_goals(self, unit: StopLatch) -> bool:
         return True
 
 
 class SessionIgnored(Rules):
-    """A robot obeys arm commands of any session, and those below a stop that it knows."""
+    """Broken rule: a robot obeys arm commands of any session, and those below a known stop."""
 
     def hear(self, robot: ArmState, message: Message, session: Session) -> ArmState:
         robot = robot.merge(message.latch)
@@ -260,6 +259,6 @@ class SessionIgnored(Rules):
 @pytest.mark.parametrize(
     "broken", [ArmOutranks, NewestMessageWins, StopCarriesNoNumber, UnitIgnoresStop, SessionIgnored]
 )
-def test_the_model_notices_a_broken_rule(broken) -> None:
+def test_model_detects_each_broken_rule(broken) -> None:
     _, found = explore(broken(), (1, 1, 0))
     assert found is not None

@@ -1,7 +1,7 @@
-"""Whole teams in memory under random commands, losses, delays, freezes and restarts, judged at the wheels.
+"""Whole teams in memory under random commands, message loss, latency, freezes and restarts.
 
-An observer outside knows when the unit learnt of a stop that is not cleared. From `goal_timeout_s` and one
-period later no wheel may turn, and no robot may drive that learnt of the stop itself.
+The checks observe the wheels. An external observer knows when the unit learnt of a stop that is not cleared.
+After `goal_timeout_s` and one period, no wheel may turn. A robot that learnt of the stop may not drive.
 """
 
 import hypothesis.strategies as st
@@ -99,12 +99,12 @@ def faults(load_benchmark):
     return load_benchmark("live_faults")
 
 
-def test_no_wheel_turns_long_after_a_stop(faults) -> None:
+def test_wheels_stand_soon_after_a_stop(faults) -> None:
     check(faults, examples=4, steps=12)
 
 
 @pytest.mark.slow
-def test_no_wheel_turns_long_after_a_stop_in_many_orders(faults) -> None:
+def test_wheels_stand_soon_after_a_stop_in_many_orders(faults) -> None:
     check(faults, examples=150, steps=30)
 
 
@@ -113,25 +113,25 @@ def missed_stop_row(faults, seed: int):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_robot_that_missed_a_stop_stands_still(faults, seed) -> None:
+def test_robot_that_missed_a_stop_stands_still(faults, seed) -> None:
     row = missed_stop_row(faults, seed)
     assert row["turned_s"] is not None and not row["exceeded"]
 
 
-def test_a_robot_that_missed_a_stop_drives_without_the_latch(faults, monkeypatch) -> None:
-    """The negative control: messages carry no numbers, as before stops were latched."""
+def test_robot_that_missed_a_stop_drives_without_latch(faults, monkeypatch) -> None:
+    """Negative control: messages carry no stop numbers."""
     monkeypatch.setattr(StopLatch, "merge", lambda latch, other: NO_COMMAND)
     rows = [missed_stop_row(faults, seed) for seed in range(4)]
     assert any(row["woke"] for row in rows)
 
 
 @pytest.mark.parametrize("fault", ["pending arm", "stop lost", "second team of one name"])
-def test_a_stop_holds_under_a_fault(faults, fault) -> None:
+def test_stop_holds_under_each_fault(faults, fault) -> None:
     row = faults.run(fault, 1, duration_s=16.0)
     assert row["turned_s"] is not None and not row["exceeded"]
 
 
-def test_a_pending_arm_survives_a_lost_stop_without_the_latch(faults, monkeypatch) -> None:
-    """The negative control: the session and the robots forget the stop."""
+def test_pending_arm_survives_lost_stop_without_latch(faults, monkeypatch) -> None:
+    """Negative control: the session and the robots forget the stop."""
     monkeypatch.setattr(StopLatch, "merge", lambda latch, other: NO_COMMAND)
     assert faults.run("pending arm", 1, duration_s=16.0)["exceeded"]

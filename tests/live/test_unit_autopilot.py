@@ -1,4 +1,4 @@
-"""Where a unit's flight commands go: to a driver that writes them as those of a unit that flies."""
+"""Flight commands of a unit, written by a driver as those of a flying unit."""
 
 import socket
 from contextlib import ExitStack
@@ -11,8 +11,8 @@ from skyherd.live.unit_process import _autopilot
 from skyherd.messages import FlightCommand
 
 
-def test_a_units_autopilot_is_sent_flight_and_its_stop_too() -> None:
-    """Straight ahead first: lines of four speeds all the same, and so are the zeros at the end."""
+def test_autopilot_receives_flight_commands_and_stop() -> None:
+    """Straight flight and the zeros at the end also have lines with four speeds."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as autopilot:
         autopilot.bind(("127.0.0.1", 0))
         autopilot.settimeout(20)

@@ -1,4 +1,4 @@
-"""A live unit whose clock differs from others': one time for slots, and for robots the time of the image."""
+"""A live unit with a clock offset: team time for slots, own time for robots, and withheld goals."""
 
 from dataclasses import replace
 
@@ -10,12 +10,14 @@ from skyherd.live.peers import CONFLICT_S
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import KIND_OF, Envelope, Heartbeat
 
+pytestmark = pytest.mark.smoke
+
 LAB = load_lab("star")
 FRAME_S, DELAY_S = 0.2, 0.05
 
 
 class TwoUnits:
-    """Two units of a lab that see its robots at the same instants; messages take `DELAY_S`."""
+    """Two units of a lab with simultaneous images of its robots. Messages have the latency `DELAY_S`."""
 
     def __init__(self, make_detections, offsets_s):
         self.cores, self.offsets_s = [LAB.make_unit(number) for number in range(2)], offsets_s
@@ -24,7 +26,7 @@ class TwoUnits:
         self.decisions = [[], []]
 
     def run(self, seconds):
-        """Images, and what each unit says on them to the other one."""
+        """Process images for a number of seconds, and deliver each unit's report to the other one."""
         for number in range(round(seconds / FRAME_S)):
             time_s = 100.0 + number * FRAME_S
             for unit, core in enumerate(self.cores):
@@ -35,7 +37,7 @@ class TwoUnits:
                 self.tell(unit, time_s, self.decisions[1 - unit][-1].report)
 
     def tell(self, unit, sent_s, report):
-        """A report of the other unit, and a heartbeat that says when a message of this one arrived there."""
+        """Deliver a report of the other unit, and a heartbeat with the arrival time of a message there."""
         ours_s, theirs_s = self.offsets_s[unit], self.offsets_s[1 - unit]
         sent_before_s = sent_s - 2 * DELAY_S
         heartbeat = Heartbeat({f"unit/{unit}": (sent_before_s + ours_s, sent_before_s + DELAY_S + theirs_s)})
@@ -44,53 +46,51 @@ class TwoUnits:
             self.cores[unit].receive(envelope, sent_s + DELAY_S + ours_s)
 
     def stamps_s(self):
-        """What the reports say of the times of the last second's images: arrays of both units."""
+        """Return the image times in the reports of the last second: an array per unit."""
         return [np.array([decision.report.time_s for decision in made[-5:]]) for made in self.decisions]
 
 
-@pytest.mark.parametrize("offsets_s", [(0.0, 0.4), (0.4, 0.0), (-0.3, 0.5)])
-def test_units_share_one_time_though_their_clocks_differ(make_detections, offsets_s) -> None:
-    """It is the time of the clock that is ahead; the other unit knows it to the delay of a message."""
-    team = TwoUnits(make_detections, offsets_s)
-    team.run(4.0)
-    first_s, second_s = team.stamps_s()
-    leader_s = (first_s, second_s)[int(np.argmax(offsets_s))]
-    lag_s = leader_s - (first_s, second_s)[int(np.argmin(offsets_s))]
-    assert (lag_s > 0).all() and (lag_s <= DELAY_S + 1e-3).all(), "of 0.4 to 0.8 s between the clocks"
-    assert not any(core.trouble for core in team.cores)
+class TestTime:
+    @pytest.mark.parametrize("offsets_s", [(0.0, 0.4), (0.4, 0.0), (-0.3, 0.5)])
+    def test_reports_share_team_time_despite_clock_offsets(self, make_detections, offsets_s) -> None:
+        """The team time is that of the leading clock. The other unit knows it up to the message latency."""
+        team = TwoUnits(make_detections, offsets_s)
+        team.run(4.0)
+        first_s, second_s = team.stamps_s()
+        leader_s = (first_s, second_s)[int(np.argmax(offsets_s))]
+        lag_s = leader_s - (first_s, second_s)[int(np.argmin(offsets_s))]
+        assert (lag_s > 0).all() and (lag_s <= DELAY_S + 1e-3).all(), "of 0.4 to 0.8 s between the clocks"
+        assert not any(core.trouble for core in team.cores)
 
+    def test_messages_to_robots_carry_the_units_own_time(self, make_detections) -> None:
+        """Robots compare the unit's clock with theirs. The team time may follow the clock of another unit."""
+        team = TwoUnits(make_detections, (0.0, 0.4))
+        team.run(4.0)
+        behind = team.decisions[0]
+        assert all(decision.goals is not None for decision in behind[-5:])
+        for number, decision in enumerate(behind):
+            own_s = 100.0 + number * FRAME_S
+            assert decision.detections.time_s == own_s
+            assert decision.goals is None or decision.goals.time_s == own_s
+        assert behind[-1].report.time_s > own_s + 0.3
 
-def test_robots_are_told_when_the_image_was_taken_by_the_units_own_clock(make_detections) -> None:
-    """They compare that clock with theirs; the team's time would be another one's."""
-    team = TwoUnits(make_detections, (0.0, 0.4))
-    team.run(4.0)
-    behind = team.decisions[0]
-    assert all(decision.goals is not None for decision in behind[-5:])
-    for number, decision in enumerate(behind):
-        own_s = 100.0 + number * FRAME_S
-        assert decision.detections.time_s == own_s
-        assert decision.goals is None or decision.goals.time_s == own_s
-    assert behind[-1].report.time_s > own_s + 0.3
+    def test_untrusted_clock_does_not_set_team_time(self, make_detections) -> None:
+        team = TwoUnits(make_detections, (0.0, 20.0))
+        team.run(4.0)
+        own_s = np.array([decision.detections.time_s for decision in team.decisions[0][-5:]])
+        assert (team.stamps_s()[0] == own_s).all()
+        assert "+20 s off" in team.cores[0].trouble
 
-
-def test_a_clock_that_is_not_trusted_leads_nobody(make_detections) -> None:
-    team = TwoUnits(make_detections, (0.0, 20.0))
-    team.run(4.0)
-    own_s = np.array([decision.detections.time_s for decision in team.decisions[0][-5:]])
-    assert (team.stamps_s()[0] == own_s).all()
-    assert "+20 s off" in team.cores[0].trouble
-
-
-def test_a_report_of_a_time_to_come_leads_nobody(make_detections) -> None:
-    """Its sender's clock is right, and what it says is not: such a stamp would lead the whole team."""
-    team = TwoUnits(make_detections, (0.0, 0.0))
-    team.run(2.0)
-    lie = replace(team.decisions[1][-1].report, time_s=200.0)
-    team.tell(0, 102.0, lie)
-    assert "in the future" in team.cores[0].trouble
-    own_s = 102.2
-    news = team.cores[0].see(replace(team.image, time_s=own_s), own_s)
-    assert news.decision.report.time_s == own_s
+    def test_report_from_the_future_does_not_set_team_time(self, make_detections) -> None:
+        """The sender's clock is correct, but the time in its report is not. It must not set the team time."""
+        team = TwoUnits(make_detections, (0.0, 0.0))
+        team.run(2.0)
+        lie = replace(team.decisions[1][-1].report, time_s=200.0)
+        team.tell(0, 102.0, lie)
+        assert "in the future" in team.cores[0].trouble
+        own_s = 102.2
+        news = team.cores[0].see(replace(team.image, time_s=own_s), own_s)
+        assert news.decision.report.time_s == own_s
 
 
 def sent_kinds(news) -> list[str]:
@@ -98,7 +98,7 @@ def sent_kinds(news) -> list[str]:
 
 
 class OneUnit:
-    """A unit of the lab that sees its robots, and hears heartbeats of one of them."""
+    """A unit of the lab with images of its robots, and heartbeats of one of them."""
 
     def __init__(self, make_detections) -> None:
         self.core, ids = LAB.make_unit(0), LAB.template.ids
@@ -116,48 +116,46 @@ class OneUnit:
         self.core.receive(Envelope(sender, sent_s, heartbeat, "x", latch), self.now_s)
 
 
-def test_a_unit_sends_goals_once_it_heard_a_heartbeat(make_detections) -> None:
-    unit = OneUnit(make_detections)
-    assert "goals" not in sent_kinds(unit.see())
-    assert "no heartbeat since" in unit.core.withheld(unit.now_s)
-    unit.hear()
-    assert sent_kinds(unit.see())[:2] == ["sighting", "goals"]
-    assert unit.core.withheld(unit.now_s) == ""
-
-
-def test_a_stopped_unit_sends_sightings_and_reports_alone(make_detections) -> None:
-    unit = OneUnit(make_detections)
-    unit.see()
-    unit.hear()
-    unit.hear(latch=StopLatch(stop=3))
-    assert sent_kinds(unit.see()) == ["sighting", "report"]
-    assert unit.core.withheld(unit.now_s) == "stopped"
-    unit.hear(latch=StopLatch(stop=3, cleared=2))
-    assert sent_kinds(unit.see()) == ["sighting", "report"]
-    unit.hear(latch=StopLatch(stop=3, cleared=3))
-    assert "goals" in sent_kinds(unit.see())
-
-
-def test_a_unit_that_slept_waits_for_a_heartbeat_sent_since(make_detections) -> None:
-    unit = OneUnit(make_detections)
-    unit.see()
-    unit.hear()
-    assert "goals" in sent_kinds(unit.see())
-    before_s, unit.now_s = unit.now_s, unit.now_s + 5.0
-    unit.hear(sent_s=before_s + 4.9)
-    assert "goals" not in sent_kinds(unit.see())
-    unit.hear()
-    assert "goals" in sent_kinds(unit.see())
-
-
-def test_a_unit_with_a_namesake_sends_no_goals(make_detections) -> None:
-    unit = OneUnit(make_detections)
-    unit.see()
-    unit.hear()
-    unit.hear(sender="unit/0")
-    assert "goals" not in sent_kinds(unit.see())
-    assert unit.core.withheld(unit.now_s) == "another process is named unit/0"
-    for _ in range(round(CONFLICT_S / FRAME_S)):
+class TestGoals:
+    def test_sent_after_first_heartbeat(self, make_detections) -> None:
+        unit = OneUnit(make_detections)
+        assert "goals" not in sent_kinds(unit.see())
+        assert "no heartbeat since" in unit.core.withheld(unit.now_s)
         unit.hear()
-        news = unit.see()
-    assert "goals" in sent_kinds(news)
+        assert sent_kinds(unit.see())[:2] == ["sighting", "goals"]
+        assert unit.core.withheld(unit.now_s) == ""
+
+    def test_withheld_while_stopped(self, make_detections) -> None:
+        unit = OneUnit(make_detections)
+        unit.see()
+        unit.hear()
+        unit.hear(latch=StopLatch(stop=3))
+        assert sent_kinds(unit.see()) == ["sighting", "report"]
+        assert unit.core.withheld(unit.now_s) == "stopped"
+        unit.hear(latch=StopLatch(stop=3, cleared=2))
+        assert sent_kinds(unit.see()) == ["sighting", "report"]
+        unit.hear(latch=StopLatch(stop=3, cleared=3))
+        assert "goals" in sent_kinds(unit.see())
+
+    def test_withheld_after_sleep_until_new_heartbeat(self, make_detections) -> None:
+        unit = OneUnit(make_detections)
+        unit.see()
+        unit.hear()
+        assert "goals" in sent_kinds(unit.see())
+        before_s, unit.now_s = unit.now_s, unit.now_s + 5.0
+        unit.hear(sent_s=before_s + 4.9)
+        assert "goals" not in sent_kinds(unit.see())
+        unit.hear()
+        assert "goals" in sent_kinds(unit.see())
+
+    def test_withheld_while_name_is_ambiguous(self, make_detections) -> None:
+        unit = OneUnit(make_detections)
+        unit.see()
+        unit.hear()
+        unit.hear(sender="unit/0")
+        assert "goals" not in sent_kinds(unit.see())
+        assert unit.core.withheld(unit.now_s) == "another process is named unit/0"
+        for _ in range(round(CONFLICT_S / FRAME_S)):
+            unit.hear()
+            news = unit.see()
+        assert "goals" in sent_kinds(news)

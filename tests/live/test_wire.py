@@ -1,4 +1,4 @@
-"""The door of the radio: what is ours comes through unchanged, and nothing else comes through at all."""
+"""Wire format: exact round trips of messages, refusal of all other bytes, and mailboxes."""
 
 import copy
 import json
@@ -31,6 +31,8 @@ from skyherd.messages import (
     UnitReport,
 )
 
+pytestmark = pytest.mark.smoke
+
 TEAM = "blue"
 
 
@@ -55,15 +57,6 @@ def everything() -> list[Envelope]:
     ]
 
 
-@pytest.mark.parametrize("envelope", everything(), ids=lambda envelope: envelope.kind)
-def test_what_is_sent_arrives_to_the_bit(envelope) -> None:
-    data = encode(envelope, TEAM)
-    arrived = decode(data, TEAM)
-    assert (arrived.sender, arrived.sent_s) == (envelope.sender, envelope.sent_s)
-    assert type(arrived.message) is type(envelope.message)
-    assert encode(arrived, TEAM) == data
-
-
 def changed(**parts) -> bytes:
     return json.dumps(json.loads(encode(everything()[0], TEAM)) | parts).encode()
 
@@ -74,72 +67,13 @@ def body(**parts) -> bytes:
     return json.dumps(record).encode()
 
 
-@pytest.mark.parametrize(
-    ("data", "why"),
-    [
-        (b"\xff\x00", "not JSON"),
-        (b"[" * 100_000, "not JSON"),
-        (b"[1]", "no message of skyherd"),
-        (b"x" * (MAX_BYTES + 1), "larger"),
-        (changed(team="red"), "another team, 'red'"),
-        (changed(version=2), "of format '2', here it is 3"),
-        (changed(version=True), "of format"),
-        (changed(sender=5), "nobody"),
-        (changed(sender=""), "nobody"),
-        (changed(sent_s=None), "time of sending"),
-        (changed(sent_s=1e300), "time of sending"),
-        (changed(sent_s=True), "time of sending"),
-        (changed(kind="order"), "unknown kind"),
-        (changed(kind=[]), "unknown kind"),
-        (changed(instance=None), "without an instance"),
-        (changed(instance="x" * 41), "without an instance"),
-        (changed(stop=-1), "goals of a wrong shape"),
-        (changed(stop=True), "goals of a wrong shape"),
-        (changed(stop=1.0), "goals of a wrong shape"),
-        (changed(cleared=2**53 - 1), "goals of a wrong shape"),
-        (changed(cleared=None), "goals of a wrong shape"),
-        (changed(body=None), "goals of a wrong shape"),
-        (changed(body={}), "goals of a wrong shape"),
-        (changed(sender="unit/1"), "another's name"),
-        (changed(sender="operator"), "another's name"),
-        (body(ids="3"), "wrong shape"),
-        (body(ids=[3.5]), "wrong shape"),
-        (body(ids=[10**30]), "wrong shape"),
-        (body(rho_px=[-1.0]), "wrong shape"),
-        (body(rho_px=[None]), "wrong shape"),
-        (body(rho_px=[[1.0]]), "wrong shape"),
-        (body(unit_id="0"), "wrong shape"),
-        (body(unit_id=True), "wrong shape"),
-        (body(time_s=1e200), "wrong shape"),
-        (body(time_s="now"), "wrong shape"),
-    ],
-)
-def test_all_else_is_refused_with_a_reason(data, why) -> None:
-    with pytest.raises(Refused, match=why):
-        decode(data, TEAM)
-
-
 def scalars(record, path=()):
-    """Paths to all numbers, flags and texts of a plain object that are in no list."""
+    """Yield the paths to all numbers, booleans and strings of a plain object outside lists."""
     for name, value in record.items():
         if isinstance(value, dict):
             yield from scalars(value, (*path, name))
         elif not isinstance(value, list):
             yield (*path, name)
-
-
-@pytest.mark.parametrize("envelope", everything(), ids=lambda envelope: envelope.kind)
-@pytest.mark.parametrize("other", [None, [], [1], {}, [[1.0]]], ids=repr)
-def test_a_scalar_of_another_type_is_refused_in_what_a_message_holds_too(envelope, other) -> None:
-    whole = json.loads(encode(envelope, TEAM))
-    for path in scalars(whole["body"]):
-        record = copy.deepcopy(whole)
-        part = record["body"]
-        for name in path[:-1]:
-            part = part[name]
-        part[path[-1]] = other
-        with pytest.raises(Refused, match="wrong shape"):
-            decode(json.dumps(record).encode(), TEAM)
 
 
 plain = st.recursive(
@@ -149,52 +83,36 @@ plain = st.recursive(
 )
 
 
-@given(
-    number=st.integers(0, len(everything()) - 1), where=st.integers(0, 30), inside=st.booleans(), value=plain
-)
-@settings(max_examples=60)
-def test_no_value_anywhere_raises_anything_else(number, where, inside, value) -> None:
-    record = json.loads(encode(everything()[number], TEAM))
-    part = record["body"] if inside and record["body"] else record
-    part[sorted(part)[where % len(part)]] = value
-    try:
-        data = json.dumps(record).encode("utf-8", "surrogatepass")
-        decoded = decode(data, TEAM)
-    except Refused:
-        return
-    assert decoded.sender == record["sender"]
+class TestMailbox:
+    def test_refusals_are_counted_reported_once_and_bounded(self) -> None:
+        air, lines = Air(), []
+        mailbox = Mailbox(air.radio("robot/3"), TEAM, "robot/3", lambda: 9.0, ["goals/**"], lines.append)
+        sender = air.radio("unit/0")
+        for _ in range(5):
+            sender.publish("skyherd/red/goals/unit/0", changed(team="red"))
+        for number in range(500):
+            sender.publish("skyherd/x/goals/unit/0", changed(team=f"t{number}"))
+        sender.publish("skyherd/blue/goals/unit/0", encode(everything()[0], TEAM))
+        air.advance(1.0)
+        arrived = list(mailbox.fetch())
+        assert [arrival.received_s for arrival in arrived] == [9.0]
+        assert mailbox.refusals.counts["of another team, 'red'"] == 5
+        assert sum(mailbox.refusals.counts.values()) == 505 and len(mailbox.refusals.counts) < 50
+        assert len(lines) == len(mailbox.refusals.counts) == len(set(lines))
+
+    def test_own_messages_skipped_and_full_queue_drops_newest(self) -> None:
+        air = Air()
+        mailbox = Mailbox(air.radio("unit/0"), TEAM, "unit/0", lambda: 0.0, ["**"])
+        mailbox.send(Stop("me"))
+        other = Mailbox(air.radio("unit/1"), TEAM, "unit/1", lambda: 0.0, [])
+        for _ in range(6000):
+            other.send(Stop("other"))
+        air.advance(1.0)
+        assert len(list(mailbox.fetch())) == 4999
+        assert mailbox.dropped == 1001
 
 
-def test_refusals_are_counted_and_named_once_and_fill_no_memory() -> None:
-    air, told = Air(), []
-    mailbox = Mailbox(air.radio("robot/3"), TEAM, "robot/3", lambda: 9.0, ["goals/**"], told.append)
-    sender = air.radio("unit/0")
-    for _ in range(5):
-        sender.publish("skyherd/red/goals/unit/0", changed(team="red"))
-    for number in range(500):
-        sender.publish("skyherd/x/goals/unit/0", changed(team=f"t{number}"))
-    sender.publish("skyherd/blue/goals/unit/0", encode(everything()[0], TEAM))
-    air.advance(1.0)
-    arrived = list(mailbox.fetch())
-    assert [arrival.received_s for arrival in arrived] == [9.0]
-    assert mailbox.refusals.counts["of another team, 'red'"] == 5
-    assert sum(mailbox.refusals.counts.values()) == 505 and len(mailbox.refusals.counts) < 50
-    assert len(told) == len(mailbox.refusals.counts) == len(set(told))
-
-
-def test_own_messages_are_not_heard_and_a_full_queue_drops_the_newest() -> None:
-    air = Air()
-    mailbox = Mailbox(air.radio("unit/0"), TEAM, "unit/0", lambda: 0.0, ["**"])
-    mailbox.send(Stop("me"))
-    other = Mailbox(air.radio("unit/1"), TEAM, "unit/1", lambda: 0.0, [])
-    for _ in range(6000):
-        other.send(Stop("other"))
-    air.advance(1.0)
-    assert len(list(mailbox.fetch())) == 4999
-    assert mailbox.dropped == 1001
-
-
-def test_the_air_loses_delays_and_keeps_order_of_arrival() -> None:
+def test_air_drops_delays_and_orders_by_arrival() -> None:
     air = Air(drop=lambda topic, receiver: receiver == "deaf")
     heard: dict[str, list[bytes]] = {"deaf": [], "near": []}
     for name, into in heard.items():
@@ -220,15 +138,99 @@ def test_the_air_loses_delays_and_keeps_order_of_arrival() -> None:
         ("a/*", "a", False),
     ],
 )
-def test_patterns_of_topics(pattern, topic, fits) -> None:
+def test_patterns_match_topics(pattern, topic, fits) -> None:
     assert matches(pattern, topic) is fits
 
 
-def test_numbers_survive_as_they_are() -> None:
-    """Shortest decimal forms read back to the same double: replays compare bits."""
-    rng = np.random.default_rng(1)
-    times_s = 1.7e9 + rng.uniform(0, 1e6, 50)
-    for time_s in times_s.tolist():
-        sent = Envelope("unit/0", time_s, Sighting(0, time_s, [1], []))
-        arrived = decode(encode(sent, TEAM), TEAM)
-        assert arrived.sent_s == time_s and arrived.message.time_s == time_s
+class TestDecode:
+    @pytest.mark.parametrize("envelope", everything(), ids=lambda envelope: envelope.kind)
+    def test_messages_round_trip_exactly(self, envelope) -> None:
+        data = encode(envelope, TEAM)
+        arrived = decode(data, TEAM)
+        assert (arrived.sender, arrived.sent_s) == (envelope.sender, envelope.sent_s)
+        assert type(arrived.message) is type(envelope.message)
+        assert encode(arrived, TEAM) == data
+
+    @pytest.mark.parametrize(
+        ("data", "why"),
+        [
+            (b"\xff\x00", "not JSON"),
+            (b"[" * 100_000, "not JSON"),
+            (b"[1]", "not a message of skyherd"),
+            (b"x" * (MAX_BYTES + 1), "larger"),
+            (changed(team="red"), "another team, 'red'"),
+            (changed(version=2), "of format '2', not 3"),
+            (changed(version=True), "of format"),
+            (changed(sender=5), "without a valid sender"),
+            (changed(sender=""), "without a valid sender"),
+            (changed(sent_s=None), "time of sending"),
+            (changed(sent_s=1e300), "time of sending"),
+            (changed(sent_s=True), "time of sending"),
+            (changed(kind="order"), "unknown kind"),
+            (changed(kind=[]), "unknown kind"),
+            (changed(instance=None), "without an instance"),
+            (changed(instance="x" * 41), "without an instance"),
+            (changed(stop=-1), "goals of a wrong shape"),
+            (changed(stop=True), "goals of a wrong shape"),
+            (changed(stop=1.0), "goals of a wrong shape"),
+            (changed(cleared=2**53 - 1), "goals of a wrong shape"),
+            (changed(cleared=None), "goals of a wrong shape"),
+            (changed(body=None), "goals of a wrong shape"),
+            (changed(body={}), "goals of a wrong shape"),
+            (changed(sender="unit/1"), "for another process"),
+            (changed(sender="operator"), "for another process"),
+            (body(ids="3"), "wrong shape"),
+            (body(ids=[3.5]), "wrong shape"),
+            (body(ids=[10**30]), "wrong shape"),
+            (body(rho_px=[-1.0]), "wrong shape"),
+            (body(rho_px=[None]), "wrong shape"),
+            (body(rho_px=[[1.0]]), "wrong shape"),
+            (body(unit_id="0"), "wrong shape"),
+            (body(unit_id=True), "wrong shape"),
+            (body(time_s=1e200), "wrong shape"),
+            (body(time_s="now"), "wrong shape"),
+        ],
+    )
+    def test_invalid_bytes_are_refused_with_a_reason(self, data, why) -> None:
+        with pytest.raises(Refused, match=why):
+            decode(data, TEAM)
+
+    @pytest.mark.parametrize("envelope", everything(), ids=lambda envelope: envelope.kind)
+    @pytest.mark.parametrize("other", [None, [], [1], {}, [[1.0]]], ids=repr)
+    def test_wrong_type_of_any_scalar_is_refused(self, envelope, other) -> None:
+        whole = json.loads(encode(envelope, TEAM))
+        for path in scalars(whole["body"]):
+            record = copy.deepcopy(whole)
+            part = record["body"]
+            for name in path[:-1]:
+                part = part[name]
+            part[path[-1]] = other
+            with pytest.raises(Refused, match="wrong shape"):
+                decode(json.dumps(record).encode(), TEAM)
+
+    @given(
+        number=st.integers(0, len(everything()) - 1),
+        where=st.integers(0, 30),
+        inside=st.booleans(),
+        value=plain,
+    )
+    @settings(max_examples=60)
+    def test_any_changed_value_is_decoded_or_refused(self, number, where, inside, value) -> None:
+        record = json.loads(encode(everything()[number], TEAM))
+        part = record["body"] if inside and record["body"] else record
+        part[sorted(part)[where % len(part)]] = value
+        try:
+            data = json.dumps(record).encode("utf-8", "surrogatepass")
+            decoded = decode(data, TEAM)
+        except Refused:
+            return
+        assert decoded.sender == record["sender"]
+
+    def test_numbers_round_trip_exactly(self) -> None:
+        """The shortest decimal form of a double reads back exactly, since replays compare bits."""
+        rng = np.random.default_rng(1)
+        times_s = 1.7e9 + rng.uniform(0, 1e6, 50)
+        for time_s in times_s.tolist():
+            sent = Envelope("unit/0", time_s, Sighting(0, time_s, [1], []))
+            arrived = decode(encode(sent, TEAM), TEAM)
+            assert arrived.sent_s == time_s and arrived.message.time_s == time_s

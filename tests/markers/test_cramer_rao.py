@@ -43,6 +43,7 @@ def rms(covariances):
     return position, np.degrees(np.sqrt(covariances[:, 2, 2].mean()))
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(("side_px", "noise"), TABLE)
 def test_bound_matches_published_values(side_px, noise):
     """To 4 % and the table's last digit; the unstated card edge is worth 5 % at 16 px."""

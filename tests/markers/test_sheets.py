@@ -101,6 +101,7 @@ def test_cards_stay_apart_and_on_page(side_mm: float) -> None:
     assert apart.min() >= layout.card_mm + 8 - 1e-9
 
 
+@pytest.mark.smoke
 def test_ids_and_lengths_are_parsed() -> None:
     assert parse_ids("0-3, 20,2", "4X4_50") == [0, 1, 2, 3, 20]
     assert [parse_length_mm(text, "side") for text in ("0.12m", "12 cm", "120mm", ".5cm")] == [

@@ -1,4 +1,4 @@
-"""What the library's constructors are given is checked as scenario files are: one line, our own errors."""
+"""Validation of constructor arguments as of scenario files: one line, with the library's own errors."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from skyherd.control import (
     SafetyRadius,
     SizeRule,
     Template,
-    TreeRule,
+    TreeSettings,
     Wheels,
 )
 from skyherd.datasets import shape_points
@@ -40,7 +40,7 @@ CONSTRUCTORS = {
     Wheels: ({"max_speed_mps": 1.0, "max_turn_radps": 1.0}, ("max_speed_mps", "max_turn_radps")),
     SafetyRadius: ({}, ("radius", "hysteresis", "dwell_s")),
     HybridSelection: ({}, ("stall_s", "progress", "floor_sides")),
-    TreeRule: ({}, ("radius", "hysteresis", "dwell_s", "gain", "firm", "silence_s", "patience_s")),
+    TreeSettings: ({}, ("radius", "hysteresis", "dwell_s", "gain", "firm", "silence_s", "patience_s")),
     Follow: ({}, ("desired_radius", "lateral_gain_mps", "climb_gain_mps", "dead_band")),
     Perimeter: ({}, ("desired_radius", "lateral_gain_mps", "climb_gain_mps")),
     KeepInView: (
@@ -52,12 +52,12 @@ CONSTRUCTORS = {
     RoleRule: ({}, ("period_s", "gain", "starts")),
     SizeRule: ({}, ("min_sides", "max_sides")),
 }
-"""Constructors with numbers of 0 or more: what makes one, and the names of those numbers."""
+"""Constructors with numbers of 0 or more: required arguments, and the names of those numbers."""
 
 
 @pytest.mark.parametrize("value", [NAN, -1.0, -1e-320, "x", None, 10**400, 1j, [1.0]])
 @pytest.mark.parametrize("kind", CONSTRUCTORS)
-def test_a_number_that_means_nothing_is_refused(kind, value):
+def test_constructors_reject_invalid_numbers(kind, value):
     good, names = CONSTRUCTORS[kind]
     kind(**good)
     for name in names:
@@ -66,53 +66,18 @@ def test_a_number_that_means_nothing_is_refused(kind, value):
 
 
 @pytest.mark.parametrize("value", [NAN, INF, -INF, None])
-def test_a_rate_is_finite_and_of_either_sign(value):
+def test_hover_accepts_finite_rate_of_either_sign(value):
     assert Hover(-1.0).yaw_rate_radps == -1.0
     for make in (Hover, lambda rate: Perimeter(yaw_rate_radps=rate), lambda rate: Wheels(1, 1, rate)):
         with pytest.raises(SkyherdError, match="a finite number"):
             make(value)
 
 
-def test_a_limit_that_there_is_not_may_be_infinite():
-    assert Wheels(INF, INF) and SizeRule(0.0, INF) and TreeRule(patience_s=INF)
+def test_limits_may_be_infinite():
+    assert Wheels(INF, INF) and SizeRule(0.0, INF) and TreeSettings(patience_s=INF)
     for kind, name in ((MarkerGains, "k"), (SafetyRadius, "radius"), (SizeRule, "min_sides")):
         with pytest.raises(SkyherdError):
             kind(**CONSTRUCTORS[kind][0] | {name: INF})
-
-
-@pytest.mark.parametrize(
-    ("ids", "points"),
-    [
-        ([0, 1], [[0, 0], [NAN, 0]]),
-        ([0, 1], [[0, 0], [INF, 0]]),
-        ([0, 1], [[0, 0], [1e300, 0]]),
-        ([0, -1], PAIR),
-        ([0, 0.5], PAIR),
-        ([0, NAN], PAIR),
-        ([0, 2**70], PAIR),
-        (["a", "b"], PAIR),
-        (None, PAIR),
-        ([[0, 1]], PAIR),
-        ([0, 0], PAIR),
-        ([0, 1], None),
-        ([0, 1], 3.0),
-        ([0, 1], "xy"),
-        ([0, 1], [[1, 2, 3], [4, 5, 6]]),
-        ([0, 1], [[1, 2], [3]]),
-        ([0, 1], [[1, 1], [1, 1]]),
-        ([], []),
-        (list(range(3000)), PAIR),
-    ],
-)
-def test_a_template_of_nonsense_is_refused(ids, points):
-    for make in (Template.from_ground_points, Template.from_image_points):
-        with pytest.raises(SkyherdError) as refusal:
-            make(ids, points)
-        assert len(str(refusal.value)) < 300 and "\n" not in str(refusal.value)
-
-
-def test_ids_of_a_template_may_be_whole_floats():
-    assert Template.from_ground_points([1.0, 0.0], PAIR).ids.tolist() == [0, 1]
 
 
 @pytest.mark.parametrize(
@@ -129,7 +94,7 @@ def test_ids_of_a_template_may_be_whole_floats():
         ([-1, 0], [0], 1.0),
     ],
 )
-def test_inboxes_of_nonsense_are_refused(given):
+def test_inboxes_reject_invalid_input(given):
     with pytest.raises(SkyherdError, match="GoalInboxes"):
         GoalInboxes(*given)
     assert GoalInboxes([0, 1], [0], 1.0).ids.tolist() == [0, 1]
@@ -144,6 +109,7 @@ def seen(**changes):
     return Detections(**one | changes)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -167,7 +133,7 @@ def seen(**changes):
         ("image_size_px", [-800, 600]),
     ],
 )
-def test_detections_of_nonsense_are_refused(name, value):
+def test_detections_reject_invalid_input(name, value):
     assert len(seen()) == 1
     with pytest.raises(SkyherdError, match=f"Detections.{name}"):
         seen(**{name: value})
@@ -177,12 +143,12 @@ REPORT = {"unit_id": 0, "image_size_px": [800, 600], "ids": [], "points_px": [],
 
 
 @pytest.mark.parametrize("size_px", [[800, 0], [0.5, 600]])
-def test_a_report_is_of_an_image_with_pixels(size_px):
+def test_report_rejects_image_without_pixels(size_px):
     with pytest.raises(SkyherdError, match=r"UnitReport.image_size_px: .*, expected 1 or more"):
         UnitReport(time_s=0.0, secure_ids=[], **REPORT | {"image_size_px": size_px})
 
 
-def test_messages_have_a_time():
+def test_messages_reject_invalid_time():
     goals = {"unit_id": 0, "ids": [], "rho_px": [], "bearings_rad": [], "sides_px": []}
     near = {"unit_id": 0, "horizon_sides": 8.0, "ids": [], "robot_ids": [], "other_ids": []}
     near |= {"distances_sides": [], "bearings_rad": [], "reaches_sides": [], "shares": []}
@@ -198,34 +164,68 @@ def test_messages_have_a_time():
             make(NAN)
 
 
-@pytest.mark.parametrize("flag", ["corrected", "inverted", "repeats"])
-@pytest.mark.parametrize("value", [np.zeros(0), np.ones(2), None, "no", 1], ids=repr)
-def test_a_detector_s_flags_are_true_or_false(flag, value):
-    assert create_detector("photometric", **{flag: np.True_})
-    with pytest.raises(SkyherdError, match=f"create_detector: {flag}: .*; True or False"):
-        create_detector("photometric", **{flag: value})
+class TestDetector:
+    @pytest.mark.parametrize("flag", ["corrected", "inverted", "repeats"])
+    @pytest.mark.parametrize("value", [np.zeros(0), np.ones(2), None, "no", 1], ids=repr)
+    def test_rejects_non_boolean_flags(self, flag, value):
+        assert create_detector("photometric", **{flag: np.True_})
+        with pytest.raises(SkyherdError, match=f"create_detector: {flag}: .*; True or False"):
+            create_detector("photometric", **{flag: value})
+
+    @pytest.mark.parametrize(
+        "image", [None, 3, "image.png", [[1, 2]], np.zeros((3, 3)), np.zeros((3, 3, 3), np.uint8)]
+    )
+    def test_rejects_non_grey_image(self, image):
+        for name in ("tracking", "photometric", "opencv"):
+            with pytest.raises(SkyherdError, match=r"image: .*grey, \(height, width\), uint8"):
+                create_detector(name).detect(image)
 
 
-@pytest.mark.parametrize(
-    "image", [None, 3, "image.png", [[1, 2]], np.zeros((3, 3)), np.zeros((3, 3, 3), np.uint8)]
-)
-def test_what_is_no_grey_image_is_refused(image):
-    for name in ("tracking", "photometric", "opencv"):
-        with pytest.raises(SkyherdError, match=r"image: .*grey, \(height, width\), uint8"):
-            create_detector(name).detect(image)
+class TestTemplate:
+    @pytest.mark.parametrize(
+        ("ids", "points"),
+        [
+            ([0, 1], [[0, 0], [NAN, 0]]),
+            ([0, 1], [[0, 0], [INF, 0]]),
+            ([0, 1], [[0, 0], [1e300, 0]]),
+            ([0, -1], PAIR),
+            ([0, 0.5], PAIR),
+            ([0, NAN], PAIR),
+            ([0, 2**70], PAIR),
+            (["a", "b"], PAIR),
+            (None, PAIR),
+            ([[0, 1]], PAIR),
+            ([0, 0], PAIR),
+            ([0, 1], None),
+            ([0, 1], 3.0),
+            ([0, 1], "xy"),
+            ([0, 1], [[1, 2, 3], [4, 5, 6]]),
+            ([0, 1], [[1, 2], [3]]),
+            ([0, 1], [[1, 1], [1, 1]]),
+            ([], []),
+            (list(range(3000)), PAIR),
+        ],
+    )
+    def test_rejects_invalid_input(self, ids, points):
+        for make in (Template.from_ground_points, Template.from_image_points):
+            with pytest.raises(SkyherdError) as refusal:
+                make(ids, points)
+            assert len(str(refusal.value)) < 300 and "\n" not in str(refusal.value)
 
+    def test_accepts_integral_float_ids(self):
+        assert Template.from_ground_points([1.0, 0.0], PAIR).ids.tolist() == [0, 1]
 
-@pytest.mark.parametrize(
-    "points", ["", "xy", ["1", "j x"], [10**400, 0]], ids=["empty", "text", "texts", "huge"]
-)
-def test_points_of_a_template_that_are_no_numbers_are_refused(points):
-    with pytest.raises(SkyherdError, match="template"):
-        Template([0, 1], points)
+    @pytest.mark.parametrize(
+        "points", ["", "xy", ["1", "j x"], [10**400, 0]], ids=["empty", "text", "texts", "huge"]
+    )
+    def test_rejects_non_numeric_points(self, points):
+        with pytest.raises(SkyherdError, match="template"):
+            Template([0, 1], points)
 
 
 @pytest.mark.parametrize("shape", ["star", "word:A"])
 @pytest.mark.parametrize("count", [np.zeros(0), None, -1, 2.5, True, 10_001, 2**63], ids=repr)
-def test_a_shape_is_for_a_whole_number_of_robots(shape, count):
-    """So many robots that a word would be written for ever are refused as well."""
+def test_shape_rejects_invalid_robot_count(shape, count):
+    """A count so large that writing a word would not end is rejected as well."""
     with pytest.raises(SkyherdError, match=r"count: .*; a whole number from 0 to 10000"):
         shape_points(shape, count)

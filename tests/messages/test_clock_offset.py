@@ -1,4 +1,4 @@
-"""The offset of another clock: the truth is inside the bounds, and they are as tight as can be."""
+"""Offset of another clock: the true offset is within the bounds, and they are as tight as possible."""
 
 import math
 
@@ -12,7 +12,7 @@ from skyherd.messages.clock_offset import DRIFT, ClockOffset
 
 
 class Exchange:
-    """Two clocks and a line between them, in true time; ours is the true time."""
+    """Two clocks and a channel between them, in true time; ours is the true time."""
 
     def __init__(self, offset_s: float, drift: float = 0.0) -> None:
         self.offset_s, self.drift, self.compared = offset_s, drift, ClockOffset()
@@ -24,7 +24,7 @@ class Exchange:
         self.compared.hear(self.theirs(sent_s), sent_s + delay_s)
 
     def both(self, sent_s: float, there_s: float, back_s: float) -> float:
-        """Our message takes `there_s`, their answer `back_s`; the time at which it is here."""
+        """Exchange a message and its answer with delays `there_s` and `back_s`; return its arrival time."""
         arrived_s = sent_s + there_s
         now_s = arrived_s + back_s
         self.compared.hear(self.theirs(arrived_s), now_s)
@@ -45,7 +45,7 @@ delays = st.floats(1e-4, 3.0)
     trips=st.lists(st.tuples(st.floats(0.0, 30.0), delays, delays), min_size=1, max_size=12),
 )
 @settings(max_examples=200)
-def test_truth_lies_within_the_bounds_whatever_the_delays(offset_s, drift, trips) -> None:
+def test_true_offset_is_within_bounds_for_any_delays(offset_s, drift, trips) -> None:
     line, time_s = Exchange(offset_s, drift), 0.0
     for pause_s, there_s, back_s in trips:
         time_s = line.both(time_s + pause_s, there_s, back_s)
@@ -56,7 +56,7 @@ def test_truth_lies_within_the_bounds_whatever_the_delays(offset_s, drift, trips
     assert line.compared.resets == 0
 
 
-def test_the_fastest_messages_count_and_slow_ones_do_no_harm() -> None:
+def test_fastest_messages_define_bounds() -> None:
     line = Exchange(3.0)
     time_s = line.both(0.0, 0.001, 0.001)
     quick = line.error_and_bound(time_s)
@@ -68,7 +68,7 @@ def test_the_fastest_messages_count_and_slow_ones_do_no_harm() -> None:
     assert bound_s == pytest.approx(0.001 + DRIFT * time_s, rel=0.02)
 
 
-def test_asymmetric_delays_widen_the_interval_by_half_their_sum() -> None:
+def test_asymmetric_delays_widen_interval_by_half_their_sum() -> None:
     line = Exchange(-7.0)
     time_s = line.both(0.0, 0.4, 0.0)
     error_s, bound_s = line.error_and_bound(time_s)
@@ -87,7 +87,7 @@ def test_minimum_of_random_delays_is_found() -> None:
     assert error_s <= bound_s <= 0.002 + 0.005
 
 
-def test_nothing_is_known_from_one_direction() -> None:
+def test_offset_is_unknown_from_one_direction() -> None:
     line = Exchange(100.0)
     assert not line.compared.estimate(0.0).is_known
     line.hear(0.0, 0.01)
@@ -96,7 +96,7 @@ def test_nothing_is_known_from_one_direction() -> None:
 
 
 @pytest.mark.parametrize("jump_s", [20.0, 0.2, -0.2, -20.0])
-def test_a_clock_that_is_set_is_noticed_and_followed(jump_s) -> None:
+def test_clock_change_is_detected_and_followed(jump_s) -> None:
     line = Exchange(1.0)
     time_s = 0.0
     for _ in range(20):
@@ -109,6 +109,6 @@ def test_a_clock_that_is_set_is_noticed_and_followed(jump_s) -> None:
     assert error_s <= bound_s < 0.02
 
 
-def test_a_wrong_drift_is_refused() -> None:
+def test_clock_offset_rejects_invalid_drift() -> None:
     with pytest.raises(InputError, match="drift"):
         ClockOffset(-1.0)

@@ -1,4 +1,4 @@
-"""What a unit reports of the tree: lists that belong together fit each other, and ids occur once."""
+"""Tree status of a unit: lists that belong together are consistent, and ids occur once."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from skyherd.messages import NO_SLOT, TreeStatus
 
 
 def status(**changes):
-    """Two edges, and two robots that are handed over."""
+    """Return a status of two edges, and two robots that are handed over."""
     fields = {
         "tree_id": 0,
         "asks_id": -1,
@@ -29,7 +29,7 @@ def status(**changes):
     return TreeStatus(**(fields | changes))
 
 
-def test_a_whole_status_is_taken() -> None:
+def test_tree_status_accepts_consistent_lists() -> None:
     assert status().handed_slots.tolist() == [NO_SLOT, 12]
 
 
@@ -48,7 +48,7 @@ def test_a_whole_status_is_taken() -> None:
     ],
     ids=str,
 )
-def test_lists_that_do_not_fit_each_other_are_refused(changes) -> None:
-    """They come by radio: a unit that read on would fail in the middle of a decision."""
+def test_tree_status_rejects_inconsistent_lists(changes) -> None:
+    """The lists arrive by radio: an inconsistent one would fail in the middle of a decision."""
     with pytest.raises(MessageError):
         status(**changes)

@@ -1,20 +1,19 @@
 """Corollary 2: distances between robots stay bounded, by V at the start and a stop threshold.
 
-The paper: V_0 is finite and V never rises, so every |x_i - x_i^{d,j}| is at most sqrt(2 V_0), speeds are
-bounded, and robots that stop below a threshold stop in finite time. In numbers, with
-g_i = Σ_j (x_i^{d,j} - x_i) the vector that robot i follows (eq. 5), k its gain, and b m the threshold:
+The paper: V_0 is finite and V never increases, so every |x_i - x_i^{d,j}| is at most sqrt(2 V_0). Speeds are
+bounded, and robots that stop below a threshold stop in finite time. Let g_i = Σ_j (x_i^{d,j} - x_i) be the
+vector that robot i follows (eq. 5), k its gain, and b the threshold, m:
 
-1. *Speed.* Robot i has at most two units (TC4), so that |g_i|² <= 2 Σ_j |x_i^{d,j} - x_i|² and
-   Σ_i |g_i|² <= 4 V: no speed is above 2 k sqrt(V_0), and in a time t two robots part by sqrt(8 V_0) k t at
-   most.
-2. *Way.* V falls by k cos δ_i |g_i|² a unit of time for each robot that moves (eq. 14), δ_i being the angle
-   between its way and g_i; such a robot has |g_i| >= b, and drives at k |g_i| <= k |g_i|² / b. So the ways of
-   all robots together are at most (V_0 - V) / (b c) for ever, where cos δ_i >= c, and no two robots part by
-   more than V_0 / (b c).
+1. *Speed.* Robot i has at most two units (TC4). Therefore |g_i|² <= 2 Σ_j |x_i^{d,j} - x_i|² and Σ_i |g_i|²
+  <= 4 V. No speed is above 2 k sqrt(V_0), and in a time t two robots separate by at most sqrt(8 V_0) k t.
+2. *Path.* V falls by k cos δ_i |g_i|² per unit of time for each moving robot (eq. 14). δ_i is the angle
+  between its path and g_i. Such a robot has |g_i| >= b, and drives at k |g_i| <= k |g_i|² / b. Where cos δ_i
+  >= c, the paths of all robots together are thus at most (V_0 - V) / (b c) for all time. No two robots
+  separate by more than V_0 / (b c).
 
-The second is the bound that the corollary is about: it has no time in it. Robots that can move to any side
-have c = 1. For steps of a time h it is exact with c - k h for c: a move by D costs V at most Σ_i |D_i|² more
-than its first order (`test_lyapunov.py`), and |D_i| <= k h |g_i|.
+The second bound is that of the corollary, as it contains no time. Robots that can move to any side have c =
+1. For steps of a time h it is exact with c - k h for c. A move by D raises V by at most Σ_i |D_i|² above its
+first order (`test_lyapunov.py`), and |D_i| <= k h |g_i|.
 """
 
 from dataclasses import dataclass
@@ -31,10 +30,10 @@ from skyherd.geometry import to_complex, to_points
 from skyherd.sim.world import move_unicycles
 
 ROUNDING = 1e-9
-"""Relative: sums of thousands of steps, each right to 1e-16 of positions."""
+"""Relative: sums of thousands of steps, each correct to 1e-16 of positions."""
 
 K_OMEGA, STEP_S, STEPS = 4.0, 0.05, 400
-"""1/s; s; Chosen: twenty times what 1/k is, in which most runs come to rest."""
+"""1/s; s; Chosen: twenty times 1/k, in which most runs come to rest."""
 
 
 @dataclass
@@ -53,13 +52,13 @@ class Team:
 
 @dataclass
 class Run:
-    """What came of a team.
+    """Result of a team's run.
 
     Attributes:
-        ways_m: (N,) length of each robot's way.
-        parted_m: (T, pairs) by how much pairs of robots are farther apart than at the start.
+        ways_m: (N,) length of each robot's path.
+        parted_m: (T, pairs) increase of the distances of pairs of robots since the start.
         V: (T,).
-        cosine: least cosine between a robot's way in a step and the vector that it follows.
+        cosine: minimum cosine between a robot's path in a step and the vector that it follows.
         rests: whether all robots have stopped.
     """
 
@@ -71,7 +70,7 @@ class Run:
 
 
 def drive(team: Team, *, sideways: bool, steps: int = STEPS, sense: float = 1.0) -> Run:
-    """The paper's law (skyherd's own) with its threshold: points that move to any side, or unicycles."""
+    """Simulate the paper's law with its threshold: points that move to any side, or unicycles."""
     law = MarkerGains(team.k, K_OMEGA, team.threshold_m, 1.0)
     p, headings = team.positions.copy(), team.headings.copy()
     ways, parted, V, cosine = np.zeros(p.size), [], [team.V(p)], 1.0
@@ -97,7 +96,7 @@ def drive(team: Team, *, sideways: bool, steps: int = STEPS, sense: float = 1.0)
 
 
 def tree_sets(rng: np.random.Generator, units: int) -> list[np.ndarray]:
-    """Random sets on a random tree: each edge shares two robots that nobody else holds (TC1-TC5)."""
+    """Return random sets on a random tree: each edge shares two robots that no other unit has (TC1-TC5)."""
     sets, free, robots = [list(range(4))], [set(range(4))], 4
     for _ in range(1, units):
         parent = int(rng.choice([unit for unit in range(len(sets)) if len(free[unit]) >= 2]))
@@ -111,7 +110,7 @@ def tree_sets(rng: np.random.Generator, units: int) -> list[np.ndarray]:
 
 
 def team_of(seed: int, units: int, spread_m: float, share: float) -> Team:
-    """A random start, whose threshold is a share of the longest vector that any robot follows at first."""
+    """Return a random start, whose threshold is a share of the longest initial vector of a robot."""
     rng = np.random.default_rng(seed)
     sets = tree_sets(rng, units)
     count = 1 + max(int(members.max()) for members in sets)
@@ -132,8 +131,8 @@ teams = st.builds(
 
 @settings(max_examples=60)
 @given(team=teams)
-def test_ways_and_distances_are_within_the_bound_of_v_and_the_threshold(team: Team) -> None:
-    """Points that move to any side: all premises hold, c = 1."""
+def test_paths_and_distances_satisfy_bound(team: Team) -> None:
+    """Points that move to any side: all assumptions hold, c = 1."""
     run = drive(team, sideways=True)
     budget_m = (run.V[0] - run.V[-1]) / (team.threshold_m * (1 - team.k * STEP_S))
     assert run.ways_m.sum() <= budget_m * (1 + ROUNDING)
@@ -143,11 +142,11 @@ def test_ways_and_distances_are_within_the_bound_of_v_and_the_threshold(team: Te
 
 @settings(max_examples=60)
 @given(team=teams)
-def test_unicycles_are_within_the_bound_for_the_angle_that_they_keep(team: Team) -> None:
-    """Robots at first within 60 degrees of their vectors, forwards or backwards, as the law turns them.
+def test_unicycles_satisfy_bound_for_their_angle(team: Team) -> None:
+    """Robots start within 60 degrees of their vectors, forwards or backwards, as the law turns them.
 
-    c is the least cosine along the run: a robot whose vector swings, as others move, may be farther off than
-    at the start. Runs in which one is at right angles have no bound of the second kind, and are left out.
+    c is the minimum cosine along the run: a robot whose vector rotates, as others move, may be farther off
+    than at the start. Runs with a robot at right angles have no bound of the second kind, and are omitted.
     """
     g = -(team.L @ team.positions)
     team.headings = np.angle(g) + (team.headings / 3)
@@ -161,23 +160,23 @@ def test_unicycles_are_within_the_bound_for_the_angle_that_they_keep(team: Team)
 
 @settings(max_examples=60)
 @given(team=teams)
-def test_speeds_are_within_the_bound_of_v_whatever_the_headings(team: Team) -> None:
-    """sqrt(8 V_0) k t for unicycles at any heading; V may rise within a step by what the step is worth."""
+def test_speeds_satisfy_bound_at_any_heading(team: Team) -> None:
+    """sqrt(8 V_0) k t for unicycles at any heading; V may rise within a step by the step's error."""
     run = drive(team, sideways=False, steps=100)
     fastest = np.sqrt(run.V[:-1]) if len(run.V) > 1 else np.zeros(1)
     bound_m = np.sqrt(8) * team.k * STEP_S * np.cumsum(np.maximum.accumulate(fastest))
     assert (run.parted_m.max(axis=1) <= bound_m * (1 + ROUNDING) + ROUNDING).all()
 
 
-def test_robots_come_to_rest_far_from_the_shape_where_the_threshold_is_large() -> None:
-    """The premise of a finite time: with the threshold all robots stop, and V stays above zero."""
+def test_large_threshold_stops_robots_far_from_shape() -> None:
+    """The assumption of a finite time: with the threshold all robots stop, and V stays above zero."""
     rests = [drive(team_of(seed, 3, 5.0, 0.3), sideways=False) for seed in range(20)]
     assert all(run.rests for run in rests)
     assert min(run.V[-1] / run.V[0] for run in rests) > 1e-4
 
 
-def test_the_bound_is_reached_within_a_hundredth() -> None:
-    """Vectors a hundredth above the threshold: (g - b) / λ is a robot's way, (g² - b²) / (2 λ b) the bound.
+def test_bound_is_tight_within_one_percent() -> None:
+    """Vectors 1 % above the threshold: a robot's path is (g - b) / λ, and the bound (g² - b²) / (2 λ b).
 
     One unit, and errors that all have the same length: six robots off a hexagon by a mode of its own.
     """
@@ -192,10 +191,10 @@ def test_the_bound_is_reached_within_a_hundredth() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_without_its_premises_the_bound_is_broken(seed: int) -> None:
-    """Goals on the wrong side, so that V rises; robots that stop later than they should; another topology.
+def test_bound_fails_without_its_assumptions(seed: int) -> None:
+    """Goals on the wrong side, so that V rises; robots that stop too late; another topology.
 
-    V of the topology that is left says nothing of what robots do after: there Proposition 1 has to hold.
+    V of the former topology does not constrain later motion: there Proposition 1 must hold.
     """
     team = team_of(seed, 3, 5.0, 0.2)
     bound_m = team.V(team.positions) / (team.threshold_m * (1 - STEP_S))
@@ -209,8 +208,8 @@ def test_without_its_premises_the_bound_is_broken(seed: int) -> None:
         assert (drive(changed, sideways=True).ways_m.sum() <= bound_m) == within
 
 
-def test_robots_that_stop_later_than_told_go_farther_than_the_bound() -> None:
-    """Vectors of 1.5 m and a bound for robots that stop at 0.9 m, which these do or not."""
+def test_late_stop_exceeds_bound() -> None:
+    """Vectors of 1.5 m and a bound for robots that stop at 0.9 m, which these do or do not."""
     shape, error = (np.exp(turns * np.pi * 1j * np.arange(6) / 6) for turns in (2, 4))
     team = Team(laplacian(shape, [np.arange(6)]), shape + 1.5 * error, np.zeros(6), 0.02)
     for threshold_m, within in ((0.9, True), (0.02, False)):

@@ -1,4 +1,4 @@
-"""Three cheap, swaying cameras: the scenario, with rectification and without, and how its video shows it."""
+"""Three cheap, swaying cameras: the scenario with and without rectification, and its video."""
 
 from dataclasses import replace
 
@@ -22,15 +22,15 @@ def flight(request: pytest.FixtureRequest) -> tuple[bool, list[Step]]:
     return request.param, list(run_steps(load_mission("handheld", [*QUICK, f"control.rectify={rectify}"])))
 
 
-def test_cheap_cameras_form_the_star_rectified_and_another_shape_as_seen(flight):
-    """A thousandth against some per cent: the negative control is the same flight without rectification."""
+def test_handheld_star_forms_only_with_rectification(flight):
+    """0.1 % against some per cent: the negative control is the same flight without rectification."""
     rectified, steps = flight
     error = max(step.metrics.shape.error for step in steps[-20:])
     assert error < 1e-3 if rectified else error > 0.02
     assert all(step.metrics.conditions.tc2 for step in steps), "every robot is controlled"
 
 
-def test_its_cameras_are_none_that_property_1_holds_for():
+def test_handheld_cameras_violate_property_1():
     mission = load_mission("handheld")
     assert not any(unit.ideal for unit in mission.scenario.units)
     assert all(unit.sway is not None for unit in mission.scenario.units)
@@ -40,7 +40,7 @@ def test_its_cameras_are_none_that_property_1_holds_for():
     assert any(moving.tilt_rates_radps)
 
 
-def test_raw_and_rectified_images_have_a_cell_each():
+def test_video_has_raw_and_rectified_panels():
     sizes = [(800, 600)] * 3
     both, plain = make_layout((1600, 1000), sizes, rectified=True), make_layout((1600, 1000), sizes)
     assert (len(both.cameras), len(both.rectified), len(plain.rectified)) == (3, 3, 0)
@@ -60,9 +60,11 @@ def test_raw_and_rectified_images_have_a_cell_each():
 
 
 @pytest.mark.parametrize("flight", [True], indirect=True)
-def test_the_rectified_picture_is_the_image_through_the_learned_map(flight):
-    """A ramp along u in place of the image: each pixel of the panel shows the ramp where the map has it. Two
-    grey levels: rounding, and a map that is linear over 8 px."""
+def test_rectified_panel_is_image_under_estimated_map(flight):
+    """A ramp along u replaces the image: each pixel of the panel shows the ramp at its mapped position.
+
+    The tolerance is two grey levels: rounding, and a map that is linear over 8 px.
+    """
     frame = flight[1][-1].frames[2]
     assert not frame.decision.ground_map.ideal
     width, height = 800, 600
@@ -86,7 +88,7 @@ def test_the_rectified_picture_is_the_image_through_the_learned_map(flight):
 
 
 @pytest.mark.parametrize("flight", [True], indirect=True)
-def test_the_video_has_rectified_images_where_cameras_are_not_ideal(flight):
+def test_video_has_rectified_panels_for_real_cameras(flight):
     names = {name: Composer(load_mission(name)) for name in ("handheld", "star")}
     assert (len(names["handheld"]._rectified), len(names["star"]._rectified)) == (3, 0)
     picture = names["handheld"].compose(flight[1][-1])

@@ -1,4 +1,4 @@
-"""Property 1 and Remark 1: what the camera is, and where it hangs, does not matter - and when it does."""
+"""Property 1 and Remark 1: invariance to calibration and pose of the camera, and its limits."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -31,11 +31,11 @@ from skyherd.vision.detectors.accuracy import load_accuracy
 
 SIDE_M = 0.5
 EXACT = 1e-9
-"""Points of 1e3 px carry rounding of 1e-13 px; the fit and the way back to metres leave 1e-12 m. The
-tolerance is the issue's, three orders above rounding and ten below the formation's size."""
+"""Points of 1e3 px have a rounding of 1e-13 px; the fit and the inverse to metres leave 1e-12 m. The
+tolerance is three orders above rounding and ten below the formation's size."""
 
 SETS = [np.array([0, 1, 2, 3]), np.array([2, 3, 4, 5]), np.array([4, 5, 0])]
-"""S_j^c of three units; fixed here, so that cameras differ in nothing else."""
+"""S_j^c of three units; fixed, so that only the cameras differ."""
 
 
 # --- cameras and the robots' world ---
@@ -43,7 +43,7 @@ SETS = [np.array([0, 1, 2, 3]), np.array([2, 3, 4, 5]), np.array([4, 5, 0])]
 
 @st.composite
 def cameras(draw: st.DrawFn, positions_m: np.ndarray) -> dict[str, Any]:
-    """A unit's table with any intrinsics and pose from which all robots are in view."""
+    """Return a unit's table with any intrinsics and pose from which all robots are in view."""
     return camera_of(positions_m, [draw(st.floats(0, 1)) for _ in range(10)])
 
 
@@ -70,13 +70,13 @@ def camera_of(
 
 
 def pixels_per_metre(unit: dict[str, Any]) -> float:
-    """r_j, from the thin-lens geometry alone."""
+    """Return r_j, from the thin-lens geometry alone."""
     return unit["camera"]["focal_px"] * unit["zoom"][0][1] / unit["height_m"]
 
 
 @pytest.fixture(scope="module")
 def mission_with(scenario_tree: Callable[[str], dict[str, Any]]) -> Callable[..., Mission]:
-    """The paper's triangle seen by other cameras: missions that differ in nothing but `units`."""
+    """Return the paper's triangle seen by other cameras: missions that differ only in `units`."""
 
     def make(units: list[dict[str, Any]], name: str = "triangle", **changes: Any) -> Mission:
         tree = scenario_tree(name)
@@ -92,7 +92,7 @@ def mission_with(scenario_tree: Callable[[str], dict[str, Any]]) -> Callable[...
 
 
 class FixedSets:
-    """Ideal or any other perception that shows each unit only the robots it is to control."""
+    """Perception, ideal or other, that shows each unit only its controlled robots."""
 
     def __init__(self, perception: Any, sets: list[np.ndarray] = SETS) -> None:
         self.perception, self.sets = perception, sets
@@ -108,7 +108,7 @@ class FixedSets:
 
 
 def ground_goals(mission: Mission, unit: int = 0, perception: Any = None) -> np.ndarray:
-    """Ground points x^d that the wire message of a unit stands for, through the true camera's inverse."""
+    """Return ground points x^d of the message of a unit, through the true camera's inverse."""
     world = make_world(mission)
     seen = (perception or ProjectedPerception(SIDE_M, "4X4_50")).look(world, [unit], 0.0)[0].detections
     goals = AerialController(mission.template, SafetyRadius(radius=1.5), Hover()).step(seen).goals
@@ -131,7 +131,7 @@ TRIANGLE_START = np.array(
 
 @pytest.fixture(scope="module")
 def camera_free_goals(mission_with: Callable[..., Mission], reference_fit: Callable[..., Any]) -> np.ndarray:
-    """x^d from the ground positions and the template as a map: no camera anywhere."""
+    """Return x^d from the ground positions and the template as a map, without any camera."""
     mission = mission_with([camera_of(TRIANGLE_START, [0.5] * 10)])
     template = mission.template.points_px.conj()
     a, b = reference_fit(template, as_complex(mission.positions_m))
@@ -143,12 +143,12 @@ def camera_free_goals(mission_with: Callable[..., Mission], reference_fit: Calla
 
 @settings(max_examples=50)
 @given(unit=cameras(TRIANGLE_START))
-def test_desired_ground_points_do_not_depend_on_the_camera(mission_with, camera_free_goals, unit) -> None:
+def test_desired_ground_points_are_invariant_to_camera(mission_with, camera_free_goals, unit) -> None:
     np.testing.assert_allclose(ground_goals(mission_with([unit])), camera_free_goals, rtol=0, atol=EXACT)
 
 
 def command_of(mission: Mission, gains: PixelGains | MarkerGains) -> Any:
-    """One round of the loop: all units look, decide and send; the robots fuse."""
+    """Run one iteration of the loop: all units observe, decide and send; the robots fuse."""
     world, perception = make_world(mission), FixedSets(ProjectedPerception(SIDE_M, "4X4_50"))
     inboxes = GoalInboxes(mission.ids, np.arange(len(SETS)), 1.0)
     agents = [AerialController(mission.template, SafetyRadius(radius=1.5), Hover()) for _ in SETS]
@@ -166,7 +166,7 @@ three_cameras = st.tuples(*[cameras(TRIANGLE_START)] * 3)
 
 @settings(max_examples=25)
 @given(one=three_cameras, other=three_cameras)
-def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with, one, other) -> None:
+def test_marker_gains_command_is_invariant_to_cameras(mission_with, one, other) -> None:
     gains = MarkerGains(0.1, 0.4, 0.0, SIDE_M)
     first, second = command_of(mission_with(list(one)), gains), command_of(mission_with(list(other)), gains)
     assert np.abs(first.v_mps).min() > 1e-3, "all robots move, so that there is a direction to compare"
@@ -176,8 +176,8 @@ def test_in_marker_units_the_command_does_not_depend_on_the_cameras(mission_with
 
 @settings(max_examples=25)
 @given(one=three_cameras, other=three_cameras)
-def test_in_pixel_gains_the_cameras_are_a_gain_on_v_alone(mission_with, one, other) -> None:
-    """Remark 1: direction and omega agree; v is in proportion to the mean scale of a robot's cameras."""
+def test_pixel_gains_cameras_scale_only_linear_speed(mission_with, one, other) -> None:
+    """Remark 1: direction and omega agree; v is proportional to the mean scale of a robot's cameras."""
     gains = PixelGains(0.001, 0.4, 0.0)
     results = []
     for units in (one, other):
@@ -197,7 +197,7 @@ def test_in_pixel_gains_the_cameras_are_a_gain_on_v_alone(mission_with, one, oth
 
 
 def run_with_fixed_sets(mission: Mission) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (T, N, 2) and headings (T, N), with the control sets asserted at each step."""
+    """Return positions (T, N, 2) and headings (T, N), with the control sets asserted at each step."""
     positions, headings = [], []
     for step in run_steps(mission, FixedSets(ProjectedPerception(SIDE_M, "4X4_50"))):
         for unit, members in enumerate(SETS):
@@ -208,7 +208,7 @@ def run_with_fixed_sets(mission: Mission) -> tuple[np.ndarray, np.ndarray]:
 
 
 def random_units(seed: int, zoom: bool, duration_s: float) -> list[dict[str, Any]]:
-    """Cameras over the triangle, each at its own height and place; those that zoom do so three times."""
+    """Return cameras over the triangle, each at its own height and position, with scripted zooms."""
     rng = np.random.default_rng(seed)
     units = []
     for _ in SETS:
@@ -231,8 +231,8 @@ def random_units(seed: int, zoom: bool, duration_s: float) -> list[dict[str, Any
         pytest.param(False, 18.0, True, id="fixed zoom, rectified", marks=pytest.mark.slow),
     ],
 )
-def test_in_marker_units_whole_trajectories_are_the_same(mission_with, zoom, duration_s, rectify) -> None:
-    """1e-9 m over the run (the issue's figure), 3.6 time constants; rounding of 1e-13 m a step dies out."""
+def test_marker_gains_trajectories_are_invariant_to_cameras(mission_with, zoom, duration_s, rectify) -> None:
+    """1e-9 m over the run, 3.6 time constants; rounding of 1e-13 m per step decays."""
     k = 3.6 / duration_s
     runs = [
         run_with_fixed_sets(
@@ -245,7 +245,7 @@ def test_in_marker_units_whole_trajectories_are_the_same(mission_with, zoom, dur
         for seed in (1, 2)
     ]
     (one, _), (other, _) = runs
-    assert np.linalg.norm(one[-1] - one[0], axis=1).max() > 1.0, "the robots went somewhere"
+    assert np.linalg.norm(one[-1] - one[0], axis=1).max() > 1.0, "the robots moved"
     np.testing.assert_allclose(one, other, rtol=0, atol=EXACT)
     turn = np.exp(1j * runs[0][1]) - np.exp(1j * runs[1][1])
     assert np.abs(turn).max() < EXACT
@@ -259,13 +259,11 @@ def test_in_marker_units_whole_trajectories_are_the_same(mission_with, zoom, dur
     ],
     ids=["to 1e-3", "to 1e-4"],
 )
-def test_in_pixel_gains_the_focal_length_sets_the_final_size_yet_all_converge(
-    mission_with, scales, error
-) -> None:
+def test_pixel_gains_focal_length_sets_final_size(mission_with, scales, error) -> None:
     """numbers.md: from the Fig. 4 start the scale ends at 2.88, 3.0, 3.77 with k_omega/(k_v r) = 4, 3, 1.
 
-    Tolerance 0.03: those are given to two or three digits, and the step of 0.1 s shifts the end by 0.01. At a
-    shape error of e, the scale is within a few e of where it ends.
+    Tolerance 0.03: those have two or three digits, and the step of 0.1 s changes the end by 0.01. At a shape
+    error of e, the scale is within a few e of its end.
     """
     height, k_omega, k_v = 12.0, 0.4, 0.002
     ends = {}
@@ -289,7 +287,7 @@ def test_in_pixel_gains_the_focal_length_sets_the_final_size_yet_all_converge(
     assert ends == pytest.approx(scales, abs=0.03)
 
 
-# --- rendered: within what the measured noise explains ---
+# --- rendered images: within the measured noise ---
 
 
 @pytest.mark.parametrize(
@@ -301,18 +299,17 @@ def test_in_pixel_gains_the_focal_length_sets_the_final_size_yet_all_converge(
         pytest.param("opencv", 40, 0.005, marks=pytest.mark.slow),
     ],
 )
-def test_rendered_goals_agree_within_the_measured_noise(
+def test_rendered_goals_agree_within_measured_noise(
     mission_with, camera_free_goals, detector, views, worth_m
 ) -> None:
     """x^d is linear in the image points: x^d = P p / r, P = 11'/N + t t^H/|t|², a projection.
 
-    Noise of standard deviation sigma on each image axis so gives sigma sqrt(P_ii) / r. What the measured
-    covariance claims is the second moment: the RMS of errors over this is 1. P has rank 2, so a view gives 4
-    degrees of freedom, n views 4 n; with the kurtosis K = 10 at most that contour-fitted corners were
-    measured to have at 19-36 px, the mean square is known to sqrt((K - 1)/(4 n)), 0.34 of 20 views, 0.24 of
-    40; at 4 of these the RMS is 1.54 and 1.4. Single errors: Chebyshev's fourth moment leaves K/4^4 = 4 %
-    beyond 4 sigma at most; the 12 sigma that none may pass have a chance of 12 n K/12^4 < 0.24 at most, and
-    are 5 mm.
+    Noise of standard deviation sigma on each image axis therefore gives sigma sqrt(P_ii) / r. The measured
+    covariance is the second moment: the RMS of errors over it is 1. P has rank 2, so a view gives 4 degrees
+    of freedom, n views 4 n. The measured kurtosis of contour-fitted corners at 19-36 px is at most K = 10.
+    The mean square is then known to sqrt((K - 1)/(4 n)), 0.34 for 20 views, 0.24 for 40. At 4 of these the
+    RMS is 1.54 and 1.4. For single errors, Chebyshev's fourth moment leaves K/4^4 = 4 % beyond 4 sigma at
+    most. The limit of 12 sigma, 5 mm, is exceeded with a chance of 12 n K/12^4 < 0.24 at most.
     """
     most = np.sqrt(1 + 4 * np.sqrt((10 - 1) / (4 * views)))
     rng = np.random.default_rng(7)
@@ -331,7 +328,7 @@ def test_rendered_goals_agree_within_the_measured_noise(
         scale = pixels_per_metre(unit)
         sigma_px = np.sqrt(accuracy.covariances(np.full(t.size, SIDE_M * scale))[:, 0, 0])
         sigma_m = sigma_px * np.sqrt(projection) / scale
-        assert sigma_m.max() < worth_m, "a bound worth having: a hundredth of a marker's side or less"
+        assert sigma_m.max() < worth_m, "a tight bound: 1 % of a marker's side or less"
         error = measured - camera_free_goals
         normalised.append(np.stack([error.real, error.imag]) / sigma_m)
     assert 1 / most < np.sqrt(np.mean(np.square(normalised))) < most
@@ -339,7 +336,7 @@ def test_rendered_goals_agree_within_the_measured_noise(
     assert np.abs(normalised).max() < 12.0
 
 
-# --- negative controls: what must move the goals, and by how much ---
+# --- negative controls: effects that move the goals ---
 
 
 def fig5_start(scenario_tree: Callable[[str], dict[str, Any]]) -> np.ndarray:
@@ -347,7 +344,7 @@ def fig5_start(scenario_tree: Callable[[str], dict[str, Any]]) -> np.ndarray:
 
 
 def linear_map(focal_over_height: float, yaw_rad: float, aspect: float, mirrored: bool) -> np.ndarray:
-    """A (2, 2) from ground metres to pixels, from the frames as they are defined, not from the renderer."""
+    """Return A (2, 2) from ground metres to pixels, by the definition of the frames."""
     u = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
     v = np.array([np.sin(yaw_rad), -np.cos(yaw_rad)])
     return focal_over_height * np.stack([-u if mirrored else u, aspect * v])
@@ -359,10 +356,10 @@ def linear_map(focal_over_height: float, yaw_rad: float, aspect: float, mirrored
     ids=["pixels 640/480", "pixels 1.1", "mirrored"],
 )
 @pytest.mark.parametrize("yaw_deg", [0.0, 33.0, -120.0])
-def test_a_distorting_image_moves_the_goals_as_geometry_predicts(
+def test_affine_distortion_moves_goals_as_predicted(
     mission_with, scenario_tree, reference_fit, aspect, mirrored, min_rms, yaw_deg
 ) -> None:
-    """Fit the similarity to A x, map back by A's inverse; the displacement is a good part of the span."""
+    """Fit the similarity to A x, map back by A's inverse; the displacement is a large part of the span."""
     unit = {
         "position_m": [1.0, 0.0],
         "height_m": 30.0,
@@ -387,8 +384,8 @@ def test_a_distorting_image_moves_the_goals_as_geometry_predicts(
 
 
 @pytest.mark.parametrize("tilt_deg", [(15.0, 0.0), (0.0, 15.0), (-8.0, 12.0)])
-def test_tilt_moves_the_goals_as_geometry_predicts(mission_with, reference_fit, tilt_deg) -> None:
-    """Rays, not homographies: a camera turned about its own axes, points and goals on the plane z = 0."""
+def test_tilt_moves_goals_as_predicted(mission_with, reference_fit, tilt_deg) -> None:
+    """Rays, not homographies: a camera rotated about its own axes, points and goals on the plane z = 0."""
     focal, height, yaw, at = 700.0, 14.0, 0.5, np.array([1.0, 2.0])
     unit = {
         "position_m": at.tolist(),
@@ -402,7 +399,7 @@ def test_tilt_moves_the_goals_as_geometry_predicts(mission_with, reference_fit, 
     tilt_u, tilt_v = np.radians(tilt_deg)
 
     def tilted(ray: np.ndarray) -> np.ndarray:
-        """Turn rays (N, 3), in camera axes, about u and then about v."""
+        """Rotate rays (N, 3), in camera axes, about u and then about v."""
         u, v, w = ray.T
         v, w = v * np.cos(tilt_u) - w * np.sin(tilt_u), v * np.sin(tilt_u) + w * np.cos(tilt_u)
         u, w = u * np.cos(tilt_v) + w * np.sin(tilt_v), -u * np.sin(tilt_v) + w * np.cos(tilt_v)
@@ -428,11 +425,11 @@ def test_tilt_moves_the_goals_as_geometry_predicts(mission_with, reference_fit, 
     assert np.sqrt(np.mean(np.abs(displacement) ** 2)) / span > 0.01
 
 
-# --- truth as data ---
+# --- independence of ground truth ---
 
 
 class Replay:
-    """Eyes that are shown recorded images, whatever the world is."""
+    """Perception that returns recorded images, independent of the world."""
 
     def __init__(self, detector: Any, images: dict[tuple[int, int], np.ndarray]) -> None:
         self.detector, self.images = detector, images
@@ -446,8 +443,8 @@ class Replay:
         return Sight(seen, seen.ids, seen.ids, 0, None)
 
 
-def test_with_the_images_held_fixed_scrambling_the_truth_changes_no_command(scenario_tree) -> None:
-    """The whole loop runs again on recorded images in a world where robots and cameras are elsewhere."""
+def test_commands_depend_on_images_only(scenario_tree) -> None:
+    """The whole loop runs again on recorded images in a world with other robot and camera positions."""
     tree = scenario_tree("star") | {"duration_s": 0.2}
     mission = make_mission(tree)
     perception = make_perception(mission, np.random.default_rng(3))
@@ -477,7 +474,7 @@ def test_with_the_images_held_fixed_scrambling_the_truth_changes_no_command(scen
     assert len(recorded) == len(replayed) == 3
     assert all(np.abs(step.command.v_mps).min() > 0 for step in recorded), "every robot is commanded"
     for one, other in zip(recorded, replayed, strict=True):
-        assert np.abs(one.positions_m - other.positions_m).max() > 1.0, "the truth is another"
+        assert np.abs(one.positions_m - other.positions_m).max() > 1.0, "the ground truth differs"
         np.testing.assert_array_equal(one.command.v_mps, other.command.v_mps)
         np.testing.assert_array_equal(one.command.omega_radps, other.command.omega_radps)
         for unit in one.frames:
@@ -489,9 +486,7 @@ def test_with_the_images_held_fixed_scrambling_the_truth_changes_no_command(scen
             assert ours.flight.climb_mps == theirs.flight.climb_mps
 
 
-def test_a_template_of_another_size_turn_and_place_sets_the_same_goals(
-    mission_with, camera_free_goals
-) -> None:
+def test_goals_are_invariant_to_similarity_of_template(mission_with, camera_free_goals) -> None:
     """The template image is a camera's image too: its scale, rotation and origin are arbitrary."""
     mission = mission_with([camera_of(TRIANGLE_START, [0.4] * 10)])
     moved = Template(mission.template.ids, 37.0 * np.exp(0.7j) * mission.template.points_px + (400 - 90j))

@@ -1,15 +1,15 @@
-"""Section V of the paper: V^j's gradient (Lemma 2), and that V never rises (Theorem 1).
+"""Section V of the paper: the gradient of V^j (Lemma 2), and that V never increases (Theorem 1).
 
-With x^{d,j} = P_j x, where P_j projects on what a similarity of the template can make (Algorithm 1 is linear
-in the current points), `V = 1/2 Σ_j |(I - P_j) x_j|²` is a quadratic form. A robot under c units puts at
-most c into its Hessian, so that for a move by D, with c = 2 under TC4,
+x^{d,j} = P_j x, where P_j projects onto the similarities of the template (Algorithm 1 is linear in the
+current points). The Lyapunov function `V = 1/2 Σ_j |(I - P_j) x_j|²` is therefore a quadratic form. A robot
+under c units contributes at most c to its Hessian. For a move by D, with c = 2 under TC4,
 
     V(x + D) <= V(x) + Σ_i grad_i·D_i + Σ_i |D_i|².
 
-In a step of dt at constant v and omega a robot moves by a chord no longer than k |rho_i| dt, which points
-less than 90 degrees off rho_i = -grad_i: the law turns it towards the goal, by less than what is missing
-while k_omega dt < 1. So the step itself cannot raise V by more than (k dt)² Σ_i |rho_i|², which over the
-time dt is a rate that vanishes with dt: the continuous-time claim. That bound is what is tested.
+In a step of dt at constant v and omega a robot moves by a chord no longer than k |rho_i| dt. The chord is
+less than 90 degrees off rho_i = -grad_i: the law turns it towards the goal, by less than the error while
+k_omega dt < 1. The step itself thus raises V by at most (k dt)² Σ_i |rho_i|². Over the time dt that is a rate
+that vanishes with dt: the continuous-time claim. The tests check that bound.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ ROUNDING = 1e-12
 
 @dataclass
 class Team:
-    """A start: N robots under U units with control sets, a template in map sense, each robot's own gain."""
+    """Start of N robots under U units: control sets, a template in map sense, and individual gains."""
 
     sets: list[np.ndarray]
     template: np.ndarray
@@ -43,7 +43,7 @@ class Team:
         return np.array([np.isin(np.arange(self.template.size), members) for members in self.sets])
 
     def goals(self, positions: np.ndarray) -> tuple[np.ndarray, float]:
-        """Σ_j (x^{d,j} - x) by robot, and V, from skyherd's own Algorithm 1."""
+        """Return Σ_j (x^{d,j} - x) by robot, and V, from skyherd's own Algorithm 1."""
         total, squares = np.zeros(positions.size, dtype=complex), 0.0
         for members in self.sets:
             rho = desired_points(self.template[members], positions[members]) - positions[members]
@@ -53,7 +53,7 @@ class Team:
 
 
 def tree_sets(rng: np.random.Generator, units: int) -> list[np.ndarray]:
-    """Random sets on a random tree: each edge shares two robots that nobody else holds (TC1-TC5)."""
+    """Return random sets on a random tree: each edge shares two robots that no other unit has (TC1-TC5)."""
     sets = [
         list(range(rng.integers(3, 7) if units > 1 else rng.integers(3, 8)))
     ]  # two robots alone are always in shape
@@ -89,7 +89,7 @@ def random_team(rng: np.random.Generator, sets: list[np.ndarray]) -> Team:
 def step(
     team: Team, rho: np.ndarray, positions: np.ndarray, headings: np.ndarray, dt: float
 ) -> tuple[np.ndarray, ...]:
-    """One exact arc towards goals at `rho`: new positions and headings, and the bound on V's rise."""
+    """Drive one exact arc towards goals at `rho`; return positions, headings and the bound on V's rise."""
     v, omega = unicycle_law(rho * np.exp(-1j * headings), MarkerGains(1.0, team.k_omega, 0.0, 1.0))
     moved, turned = move_unicycles(to_points(positions), headings, team.gain * v, omega, dt)
     bound = float(np.sum((team.gain * np.abs(rho) * dt) ** 2))
@@ -100,10 +100,12 @@ def step(
 @pytest.mark.parametrize(
     ("starts", "dt", "steps"), [(12, 0.03, 100), pytest.param(40, 0.02, 150, marks=pytest.mark.slow)]
 )
-def test_cost_never_rises_under_tc1_to_tc5(units: int, starts: int, dt: float, steps: int) -> None:
+def test_lyapunov_function_never_increases_under_tc1_to_tc5(
+    units: int, starts: int, dt: float, steps: int
+) -> None:
     """Random starts for each number of units, over three time constants 1/k.
 
-    Both bounds know the step: V's rise in one is at most Σ|D_i|², of order dt².
+    Both bounds include the step: V's rise in one is at most Σ|D_i|², of order dt².
     """
     rng = np.random.default_rng([2019, units])
     for _ in range(starts):
@@ -118,13 +120,13 @@ def test_cost_never_rises_under_tc1_to_tc5(units: int, starts: int, dt: float, s
             assert cost - previous <= bound + ROUNDING * start
             worst_rate = max(worst_rate, (cost - previous) / dt)
             previous = cost
-        assert previous < start, "and it falls"
+        assert previous < start, "and it decreases"
         # Σ|rho|² <= 4 V for such a form, and gains are at most 1: a rate of at most 4 dt of V's start.
         assert worst_rate <= 4 * dt * start
 
 
-def test_the_largest_rise_per_unit_time_vanishes_with_the_step() -> None:
-    """Starts made to rise: every robot at right angles to its goal, where dV/dt is 0."""
+def test_lyapunov_increase_rate_vanishes_with_step() -> None:
+    """Starts constructed to rise: every robot at right angles to its goal, where dV/dt is 0."""
     rng = np.random.default_rng(9)
     rises = 0
     for _ in range(20):
@@ -140,10 +142,10 @@ def test_the_largest_rise_per_unit_time_vanishes_with_the_step() -> None:
         ratio = np.array(rates[1:]) / np.array(rates[:-1])
         np.testing.assert_allclose(ratio, 0.5, atol=0.1)
         rises += rates[0] > 0
-    assert rises > 5, "the test bites: a finite step does raise V here"
+    assert rises > 5, "sensitivity: a finite step raises V here"
 
 
-def test_the_rate_of_v_is_that_of_the_paper() -> None:
+def test_lyapunov_rate_equals_equation_of_paper() -> None:
     """dV/dt = -Σ_i gain_i cos(alpha_i - alpha_d) |Σ_j (x^{d,j} - x_i)|² <= 0, by central differences.
 
     V is smooth along an arc; with h = 1e-4 the error is h² V'''/6, under 1e-7 of V.
@@ -168,7 +170,7 @@ def test_the_rate_of_v_is_that_of_the_paper() -> None:
         assert (ahead - behind) / (2 * h) == pytest.approx(predicted, abs=1e-6 * cost)
 
 
-def test_lemma_2_the_gradient_of_each_units_share() -> None:
+def test_lyapunov_term_gradient_equals_lemma_2() -> None:
     """dV^j/dx_i = x_i - x_i^{d,j}, against central differences of the observer's V^j.
 
     V^j is quadratic, so that central differences have no truncation error; with h = 1e-3 rounding leaves
@@ -205,7 +207,7 @@ def test_lemma_2_the_gradient_of_each_units_share() -> None:
 
 
 @pytest.mark.parametrize("starts", [8, pytest.param(20, marks=pytest.mark.slow)])
-def test_without_tc3_to_tc5_the_form_is_still_quadratic_and_falls(starts: int) -> None:
+def test_lyapunov_function_decreases_without_tc3_to_tc5(starts: int) -> None:
     """Contrast, a cycle of three units that share three robots each, one robot held by all three (Q, not P).
 
     The same argument holds with c = 3 units on a robot, Hessian at most 3: a bound 1.5 times as large.
@@ -227,8 +229,8 @@ def test_without_tc3_to_tc5_the_form_is_still_quadratic_and_falls(starts: int) -
         assert previous < start
 
 
-def test_a_formed_team_stands_still() -> None:
-    """Corollary 1: at V = 0 no robot drives; one that has no goal does not turn either."""
+def test_formed_team_is_static() -> None:
+    """Corollary 1: at V = 0 no robot drives; one without a goal does not turn either."""
     rng = np.random.default_rng(13)
     for _ in range(20):
         team = random_team(rng, tree_sets(rng, 3))

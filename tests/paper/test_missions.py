@@ -1,16 +1,16 @@
-"""The built-in missions on rendered pixels, from start to finish: fewer images, and no longer than they need.
+"""The built-in missions on rendered pixels, from start to finish, with fewer images.
 
-At length and with all images they are in `test_missions_at_length`.
+`test_missions_at_length` has the full versions with all images.
 """
 
 import pytest
 from mission_checks import check_mission_from_pixels, check_noisy_mission, check_tree_mission
 
 FEWER_IMAGES = ["step_s=0.2", "units.*.frame_rate_hz=2.5"]
-"""A quarter of the images, 0.4 s apart: within the 0.5 s for which robots follow a goal."""
+"""A quarter of the images, 0.4 s apart: within the 0.5 s of the goal timeout."""
 
 FORMED_S = {"triangle": 22, "star": 36, "grid": 34, "circle": 26}
-"""When each shape has been held for the goal's 5 s and some more."""
+"""Time at which each shape has been held for the goal's 5 s plus a margin."""
 
 SETTINGS = {name: [*FEWER_IMAGES, f"duration_s={seconds}"] for name, seconds in FORMED_S.items()}
 SETTINGS["triangle"] += ["control.k=0.3", "control.k_omega=1.2"]
@@ -20,24 +20,24 @@ TREE_SETTINGS = {
     "tree": ["units.*.frame_rate_hz=2.5", "duration_s=56"],
     "failure": ["units.*.frame_rate_hz=2.5", "duration_s=76"],
 }
-"""Half of the images. `chain`, the slowest, is on its way to 1 %; the unit that dies returns at 65 s."""
+"""Half of the images. `chain`, the slowest, approaches 1 %; the failed unit returns at 65 s."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FORMED_S)
-def test_a_mission_forms_its_shape_from_pixels_alone(name):
+def test_mission_forms_shape_from_pixels(name):
     check_mission_from_pixels(name, *SETTINGS[name])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TREE_SETTINGS)
-def test_a_tree_of_units_forms_its_shape_from_pixels_alone(name):
+def test_tree_mission_forms_shape_from_pixels(name):
     check_tree_mission(name, "rendered", *TREE_SETTINGS[name])
 
 
 @pytest.mark.parametrize(
     "name", ["star", "grid", *(pytest.param(name, marks=pytest.mark.slow) for name in ("triangle", "circle"))]
 )
-def test_noisy_perception_forms_the_same_shape_and_leaves_no_robot_alone(name):
+def test_noisy_mission_forms_shape_with_all_robots(name):
     """Points with the detector's measured noise."""
     check_noisy_mission(name, *SETTINGS[name])

@@ -1,4 +1,4 @@
-"""The built-in missions as they are, with all of their images."""
+"""The unmodified built-in missions, with all of their images."""
 
 import pytest
 from mission_checks import (
@@ -13,22 +13,22 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("name", THRESHOLD)
-def test_a_mission_forms_its_shape_from_pixels_alone(name):
+def test_long_mission_forms_shape_from_pixels(name):
     check_mission_from_pixels(name)
 
 
 @pytest.mark.parametrize(("name", "seconds"), {"triangle": 70, "star": 40, "grid": 40, "circle": 30}.items())
-def test_noisy_perception_forms_the_same_shape_and_leaves_no_robot_alone(name, seconds):
-    """Until the shape has been held for long enough."""
+def test_long_noisy_mission_forms_shape_with_all_robots(name, seconds):
+    """The run lasts until the shape has been held for long enough."""
     check_noisy_mission(name, f"duration_s={seconds}")
 
 
 @pytest.mark.parametrize("name", TREES)
-def test_a_tree_of_units_forms_its_shape_from_pixels_alone(name):
+def test_long_tree_mission_forms_shape_from_pixels(name):
     check_tree_mission(name, "rendered")
 
 
 @pytest.mark.parametrize("name", TREES)
-def test_noisy_perception_keeps_the_tree_too(name):
-    """Of `failure`, the unit returns at 65 s, and is to be in the tree at the end."""
+def test_long_noisy_mission_keeps_tree(name):
+    """In `failure`, the unit returns at 65 s, and must be in the tree at the end."""
     check_tree_mission(name, "noisy")

@@ -1,6 +1,6 @@
-"""The paper's Fig. 4 (TCST 2019) comes back, on ideal and rendered images; the same seed does the same.
+"""Reproduction of the paper's Fig. 4 (TCST 2019) on ideal and rendered images, and determinism in the seed.
 
-Of Fig. 5 the cost at the start does, with one threshold for all cameras.
+Of Fig. 5 the initial cost is reproduced, with one threshold for all cameras.
 """
 
 from itertools import permutations
@@ -19,27 +19,26 @@ PUBLISHED_END_M = np.array(
 
 
 def triangle_in_steps(tree: dict, perception: str, step_s: float) -> list[Step]:
-    """The mission until the robots stand still.
+    """Return the mission until the robots stop.
 
-    Steps of 0.3 s bring them within 0.02 m of where steps of 0.1 s do, steps of 0.5 s within 0.03 m.
+    Steps of 0.3 s end within 0.02 m of steps of 0.1 s, steps of 0.5 s within 0.03 m.
     """
     tree["units"][0]["frame_rate_hz"] = 1 / step_s
     mission = make_mission(tree | {"perception": perception, "duration_s": 66.0, "step_s": step_s})
     return list(run_steps(mission))
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("perception", "step_s", "allowed_m"),
     [
         pytest.param("ideal", None, 0.06, id="ideal"),  # twice the reading error
         pytest.param("ideal", 0.1, 0.06, id="ideal, rectified", marks=pytest.mark.slow),
-        pytest.param(
-            "rendered", 0.5, 0.12, id="rendered"
-        ),  # twice that again, for pixels (the issue's figure)
+        pytest.param("rendered", 0.5, 0.12, id="rendered"),  # four times the reading error, for pixels
         pytest.param("rendered", 0.3, 0.12, id="rendered, in small steps", marks=pytest.mark.slow),
     ],
 )
-def test_fig_4_comes_back(ideal_triangle, scenario_tree, perception, step_s, allowed_m) -> None:
+def test_figure_4_is_reproduced(ideal_triangle, scenario_tree, perception, step_s, allowed_m) -> None:
     tree = scenario_tree("triangle")
     steps = triangle_in_steps(tree, perception, step_s) if step_s else ideal_triangle
     first, last = steps[0], steps[-1]
@@ -47,15 +46,15 @@ def test_fig_4_comes_back(ideal_triangle, scenario_tree, perception, step_s, all
     assert np.linalg.norm(last.positions_m - PUBLISHED_END_M, axis=1).max() < allowed_m
     assert last.metrics.shape.scale == pytest.approx(2.87, abs=0.04)
     assert last.metrics.shape.error < 0.01
-    # One unit holds all six from first to last: the figure has no switches.
+    # One unit controls all six throughout: the figure has no switches.
     assert all(step.control_sets[0].tolist() == list(range(6)) for step in steps)
 
 
-def test_fig_4_at_the_papers_pace(ideal_triangle, load_benchmark) -> None:
-    """Gains an eighth of the scenario's give the same ways in eight times the time, all speeds an eighth.
+def test_figure_4_is_reproduced_at_speed_of_paper(ideal_triangle, load_benchmark) -> None:
+    """Gains an eighth of the scenario's give the same paths in eight times the time, all speeds an eighth.
 
     The published plots: |v| below 0.05 m/s, close enough to it for the axis to end there, and V near 0 after
-    200 s: below the width of a line, a hundredth of the plot's height.
+    200 s, below the width of a line, 1 % of the plot's height.
     """
     figures = load_benchmark("paper_figures")
     told, pace = figures.PUBLISHED["figure4"], figures.PACE
@@ -69,12 +68,12 @@ def test_fig_4_at_the_papers_pace(ideal_triangle, load_benchmark) -> None:
 
 
 COST_ERROR_M2 = 2.1
-"""Error of V at the start of Fig. 5. Derived: V's gradient is no longer than sqrt(6 V) where no robot has
-more than three units, and errors of 0.06 m along x and y at each robot are worth sqrt(6 * 197) * 0.06."""
+"""Error of V at the start of Fig. 5. Derived: V's gradient is at most sqrt(6 V) with at most three units per
+robot; errors of 0.06 m along x and y at each robot give sqrt(6 * 197) * 0.06."""
 
 
-def test_fig_5_begins_with_the_published_cost(load_benchmark) -> None:
-    """From the published places and heights, by one threshold: sets of 7, 9 and 6 robots."""
+def test_figure_5_starts_with_published_cost(load_benchmark) -> None:
+    """From the published positions and heights, by one threshold: sets of 7, 9 and 6 robots."""
     figures = load_benchmark("paper_figures")
     first = next(iter(run_steps(figures.figure5_mission("radius"))))
     told = figures.PUBLISHED["figure5"]
@@ -84,7 +83,7 @@ def test_fig_5_begins_with_the_published_cost(load_benchmark) -> None:
     assert sorted(first.fleet.heights_m) == told["camera_heights_m"]
 
 
-def test_one_order_of_the_heights_gives_the_published_cost_by_one_threshold(load_benchmark) -> None:
+def test_figure_5_cost_determines_order_of_heights(load_benchmark) -> None:
     """All orders of the three heights, all thresholds up to the whole view: sets with TC1 and TC2."""
     figures, mission = load_benchmark("paper_figures"), load_mission("star")
     told, observer = figures.PUBLISHED["figure5"], TruthObserver(mission.template, mission.ids)
@@ -104,7 +103,7 @@ def test_one_order_of_the_heights_gives_the_published_cost_by_one_threshold(load
 
 
 def fingerprint(tree: dict) -> list[np.ndarray]:
-    """All that moves in a run: commands, robots, units."""
+    """Return all moving quantities of a run: commands, robots, units."""
     steps = list(run_steps(make_mission(tree)))
     return [
         np.array([[s.command.v_mps, s.command.omega_radps, s.headings_rad, *s.positions_m.T] for s in steps]),
@@ -113,8 +112,8 @@ def fingerprint(tree: dict) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("perception", ["ideal", "noisy", "rendered"])
-def test_the_same_seed_gives_the_same_steps(scenario_tree, perception) -> None:
-    """Bit for bit, with frames and messages lost at random too; and another seed gives others."""
+def test_run_is_deterministic_in_seed(scenario_tree, perception) -> None:
+    """Bit by bit, with random frame and message loss too; another seed gives another run."""
     tree = scenario_tree("triangle") | {
         "perception": perception,
         "duration_s": 0.4,
@@ -126,8 +125,8 @@ def test_the_same_seed_gives_the_same_steps(scenario_tree, perception) -> None:
     assert not np.array_equal(one[0], other[0])
 
 
-def test_the_seed_of_a_rendered_run_is_in_its_pixels(scenario_tree) -> None:
-    """Without losses only ground and sensor noise differ: commands of two seeds differ, by noise."""
+def test_rendered_seed_changes_only_pixels(scenario_tree) -> None:
+    """Without losses only ground and sensor noise differ: commands of two seeds differ by noise."""
     tree = scenario_tree("triangle") | {"duration_s": 0.1}
     one, other = fingerprint(tree | {"seed": 5})[0], fingerprint(tree | {"seed": 6})[0]
     difference = np.abs(one[0, 0] - other[0, 0])  # v of the first step

@@ -1,4 +1,4 @@
-"""Self-rectification in the loop: bad cameras with it and without, recordings, pictures."""
+"""Self-rectification in the loop: distorting cameras with and without it, recordings, images."""
 
 import json
 from functools import cache
@@ -19,7 +19,7 @@ from skyherd.sim.truth_metrics import fit_shape
 
 
 def bad_camera(seed: int) -> dict[str, Any]:
-    """Tilt, oblong pixels, skew and lens, as in `random_view`."""
+    """Return a camera with tilt, oblong pixels, skew and lens, as in `random_view`."""
     view = random_view(seed)
     return {
         "position_m": list(view.pose.position_m),
@@ -45,7 +45,7 @@ def flight(
     perception: str = "ideal",
     duration_s: float = 20.0,
 ) -> list[Step]:
-    """The triangle of six, smaller, and quick; the robots never stop."""
+    """Return the triangle of six, smaller and faster; the robots never stop."""
     tree = scenario_tree("triangle") | {"duration_s": duration_s, "units": [unit], "perception": perception}
     tree["robots"] = {"scatter": {"scale_m": 1.7, "jitter_m": 0.3, "spacing_m": 0.8}}
     tree["selection"] = {"radius": 1.5}
@@ -55,14 +55,17 @@ def flight(
 
 @cache
 def flown(tree: str) -> list[Step]:
-    """All steps of a mission, given as JSON: several tests read the same flights."""
+    """Return all steps of a mission, given as JSON: several tests read the same flights."""
     return list(run_steps(make_mission(json.loads(tree))))
 
 
 @pytest.mark.parametrize("seed", [5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (3, 8))])
-def test_a_bad_camera_forms_the_shape_with_it_and_the_predicted_error_without(scenario_tree, seed):
-    """Without: the robots form the template in the *image*, to what ten time constants leave, and the error
-    on the ground is that of the template seen through the camera, from geometry. With: a hundredth of it."""
+def test_rectification_forms_shape_with_distorting_camera(scenario_tree, seed):
+    """Without rectification the robots form the template in the *image*, up to ten time constants.
+
+    The error on the ground is then that of the template seen through the camera, from geometry. With
+    rectification it is 1 % of that.
+    """
     unit = bad_camera(seed)
     plain, ours = (flight(scenario_tree, unit, rectify=rectify)[-1] for rectify in (False, True))
     seen = plain.frames[0].sight.detections.centers_px @ np.array([1, 1j])
@@ -78,9 +81,12 @@ def test_a_bad_camera_forms_the_shape_with_it_and_the_predicted_error_without(sc
     assert ours.metrics.shape.error < plain.metrics.shape.error / 20
 
 
-def test_goals_on_the_ground_are_those_of_no_camera_at_all(scenario_tree, reference_fit):
-    """Property 1 for a camera that it excludes: where the desired points lie on the ground, from the first
-    image alone, to 1e-3 of the formation's span; without rectification off by 20 times as much."""
+def test_rectified_ground_goals_are_invariant_to_camera(scenario_tree, reference_fit):
+    """Property 1 for a camera that it excludes: positions of the desired points on the ground.
+
+    From the first image alone they agree to 1e-3 of the formation's span. Without rectification the error is
+    20 times as large.
+    """
     unit = bad_camera(5)
     view = random_view(5)
     off = []
@@ -101,9 +107,12 @@ def test_goals_on_the_ground_are_those_of_no_camera_at_all(scenario_tree, refere
     assert off[0] > 20 * off[1]
 
 
-def test_speed_in_marker_units_knows_the_local_scale(scenario_tree):
-    """Under tilt each goal is in the robot's own marker sides: from the same start a tilted, distorting
-    camera and an ideal one drive the robots along the same paths, to a fiftieth of a marker's side."""
+def test_rectified_speed_uses_local_scale(scenario_tree):
+    """Under tilt each goal is in the robot's own marker sides.
+
+    From the same start a tilted, distorting camera and an ideal one drive the robots along the same paths, to
+    2 % of a marker's side.
+    """
     unit = bad_camera(5)
     ideal = unit | {"tilt_deg": [0, 0], "position_m": [0, 0], "height_m": 14.0}
     ideal["camera"] = {"size_px": [800, 800], "focal_px": 800.0}
@@ -116,8 +125,8 @@ def test_speed_in_marker_units_knows_the_local_scale(scenario_tree):
 
 
 @pytest.mark.parametrize("duration_s", [5.0, pytest.param(8.0, marks=pytest.mark.slow)])
-def test_an_ideal_cameras_flight_is_the_same_to_the_bit(scenario_tree, duration_s):
-    """With measured noise, and three units that hand robots over: nothing is learned that is not there."""
+def test_ideal_camera_flight_is_unchanged_by_rectifier(scenario_tree, duration_s):
+    """Measured noise, and three units that hand robots over: the rectifier finds no effect."""
     tree = scenario_tree("star") | {"duration_s": duration_s, "perception": "noisy"}
     runs = []
     for rectify in (False, True):
@@ -128,8 +137,8 @@ def test_an_ideal_cameras_flight_is_the_same_to_the_bit(scenario_tree, duration_
         np.testing.assert_array_equal(one.command.v_mps, other.command.v_mps)
 
 
-def test_the_controller_is_given_what_the_rectifier_makes_of_the_detections(scenario_tree):
-    """The loop's decision is that of a controller that never heard of rectification."""
+def test_controller_decides_on_rectified_detections(scenario_tree):
+    """The loop's decision equals that of a controller without a rectifier."""
     mission_tree = scenario_tree("triangle")
     steps = flight(scenario_tree, bad_camera(3), rectify=True)[:5]
     rectifier, mission = Rectifier(), make_mission(mission_tree)
@@ -139,8 +148,8 @@ def test_the_controller_is_given_what_the_rectifier_makes_of_the_detections(scen
         np.testing.assert_array_equal(goals.rho_px, step.frames[0].decision.goals.rho_px)
 
 
-def test_maps_are_recorded_and_read_back(scenario_tree, tmp_path):
-    """The video drawn from the file shows the same goals; a camera that needs no map has no such topic."""
+def test_ground_maps_are_recorded_and_read(scenario_tree, tmp_path):
+    """The video drawn from the file shows the same goals; a camera without a map has no such topic."""
     tree = scenario_tree("triangle") | {"duration_s": 3.0, "perception": "ideal"}
     tree["units"] = [bad_camera(3)]
     tree["robots"] = {"scatter": {"scale_m": 1.7, "jitter_m": 0.3, "spacing_m": 0.8}}
@@ -160,7 +169,7 @@ def test_maps_are_recorded_and_read_back(scenario_tree, tmp_path):
         )
 
 
-def test_points_asked_for_are_drawn_where_the_camera_sees_them(scenario_tree):
+def test_requested_points_are_drawn_at_camera_positions(scenario_tree):
     """Once the shape is formed they lie on the robots, in the raw image."""
     frame = flight(scenario_tree, bad_camera(5), rectify=True)[-1].frames[0]
     np.testing.assert_allclose(desired_points_px(frame.decision), frame.sight.detections.centers_px, atol=0.5)

@@ -1,4 +1,4 @@
-"""Algorithm 1's similarity: exact, equivariant, equal to an independent least-squares solution."""
+"""Similarity of Algorithm 1: exact, equivariant, equal to an independent least-squares solution."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from skyherd.control import Similarity, desired_points, fit_similarities, fit_si
 from skyherd.errors import DegenerateSetError
 
 TIGHT = 1e-10
-"""Relative to the points' size: the fit divides by the template's spread, which the strategies keep above a
-hundredth of its size squared, so that 1e-16 of rounding grows to 1e-12 at most for 12 points."""
+"""Relative to the points' size: the fit divides by the template's spread, which the strategies keep above 1 %
+of its size squared. A rounding of 1e-16 thus grows to at most 1e-12 for 12 points."""
 
 coordinate = st.floats(-10, 10, allow_subnormal=False)
 point = st.builds(complex, coordinate, coordinate)
@@ -45,9 +45,10 @@ def similarities(draw: st.DrawFn) -> tuple[complex, complex]:
 suite = settings(max_examples=100)
 
 
+@pytest.mark.smoke
 @suite
 @given(template=point_sets(), similarity=similarities())
-def test_recovers_any_exact_similarity(template, similarity) -> None:
+def test_fit_recovers_exact_similarity(template, similarity) -> None:
     a, b = similarity
     current = a * template + b
     # A shift by b costs |b| / |a| of the points' digits.
@@ -61,7 +62,7 @@ def test_recovers_any_exact_similarity(template, similarity) -> None:
 
 @suite
 @given(sets=two_sets())
-def test_agrees_with_a_linear_least_squares_solver(sets) -> None:
+def test_fit_agrees_with_linear_least_squares(sets) -> None:
     """The paper's linear system (proof of Property 1) in s cos phi, s sin phi and the translation."""
     template, current = sets
     rows = []
@@ -77,7 +78,7 @@ def test_agrees_with_a_linear_least_squares_solver(sets) -> None:
 
 @suite
 @given(sets=two_sets(), similarity=similarities())
-def test_moves_with_the_current_points(sets, similarity) -> None:
+def test_fit_is_equivariant_to_current_points(sets, similarity) -> None:
     """fit(T, G x) = G fit(T, x): the proof of Property 1."""
     (template, current), (a, b) = sets, similarity
     moved = desired_points(template, a * current + b)
@@ -89,8 +90,8 @@ def test_moves_with_the_current_points(sets, similarity) -> None:
 
 @suite
 @given(sets=two_sets(), similarity=similarities())
-def test_does_not_see_the_templates_own_frame(sets, similarity) -> None:
-    """fit(G T, x) (G T) = fit(T, x) (T): scale, turn and origin of the template image are arbitrary."""
+def test_fit_is_invariant_to_template_frame(sets, similarity) -> None:
+    """fit(G T, x) (G T) = fit(T, x) (T): scale, rotation and origin of the template image are arbitrary."""
     (template, current), (a, b) = sets, similarity
     same = desired_points(a * template + b, current)
     digits = TIGHT * (1 + abs(b) / abs(a)) ** 2
@@ -99,8 +100,8 @@ def test_does_not_see_the_templates_own_frame(sets, similarity) -> None:
 
 @suite
 @given(sets=two_sets())
-def test_is_a_projection_that_keeps_the_centroid(sets) -> None:
-    """Desired points are the best of their kind: the residual is at right angles to all similarities of T."""
+def test_desired_points_are_projection_with_same_centroid(sets) -> None:
+    """Desired points are optimal: the residual is orthogonal to all similarities of T."""
     template, current = sets
     desired = desired_points(template, current)
     residual = current - desired
@@ -111,7 +112,7 @@ def test_is_a_projection_that_keeps_the_centroid(sets) -> None:
     np.testing.assert_allclose(desired_points(template, desired), desired, rtol=0, atol=TIGHT * 1000)
 
 
-def test_the_map_is_what_its_docstring_says() -> None:
+def test_similarity_call_matches_definition() -> None:
     similarity = Similarity(factor=2j, source=1 + 1j, target=5 + 0j)
     assert similarity.scale == 2
     assert similarity.rotation_rad == pytest.approx(np.pi / 2)
@@ -141,13 +142,13 @@ def test_the_map_is_what_its_docstring_says() -> None:
         "unequal numbers",
     ],
 )
-def test_degenerate_sets_are_refused(template, current) -> None:
+def test_fit_rejects_degenerate_sets(template, current) -> None:
     with pytest.raises(DegenerateSetError):
         fit_similarity(np.array(template, dtype=complex), np.array(current, dtype=complex))
 
 
-def test_many_fits_at_once_are_the_fits_one_by_one() -> None:
-    """Groups of any size, in any order of points; those without a similarity have none, as when asked alone.
+def test_fit_similarities_equals_single_fits() -> None:
+    """Groups of any size, in any order of points; those without a similarity have none, as in single fits.
 
     Both sum a few dozen products of numbers of order one, in other orders.
     """

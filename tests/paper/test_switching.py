@@ -1,15 +1,15 @@
-"""Changes of topology (Proposition 1): what falls through any of them, and what that rests on.
+"""Changes of topology (Proposition 1): a function that decreases under any switching, and its assumptions.
 
-With L_σ of topology σ (`skyherd.control.topology.convergence_rate`) V_σ = 1/2 p* L_σ p is another form for
-each topology, and may rise as one takes another's place. Half the squared distance to the shape,
-`E = 1/2 |p - Π p|²` with Π p the best similar copy of the template among all robots (the paper's 1/2 |X|²),
-is the same for all. As L_σ and Π are Hermitian and L_σ Π = 0, robots that drive straight to their goals,
-`dp/dt = -k L_σ p`, have
+With L_σ of topology σ (`skyherd.control.topology.convergence_rate`) V_σ = 1/2 p* L_σ p is a different
+Lyapunov function for each topology, and may increase at a switch. Half the squared distance to the shape, `E
+= 1/2 |p - Π p|²`, is common to all. Π p is the best similar copy of the template among all robots (the
+paper's 1/2 |X|²). As L_σ and Π are Hermitian and L_σ Π = 0, robots that drive straight to their goals, `dp/dt
+= -k L_σ p`, have
 
     dE/dt = -k p* L_σ p = -2 k V_σ <= -2 k λ_3(L_σ) E
 
-whatever σ is. So E falls through any changes, however fast, wherever λ_3 > 0, which TC1 and TC2 give. Robots
-with gains k_i of their own that stay have it for the distance weighted by 1 / k_i.
+for any σ. E therefore decreases under any switching, however fast, if λ_3 > 0, which TC1 and TC2 ensure. For
+robots with constant individual gains k_i it holds for the distance weighted by 1 / k_i.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ K, K_OMEGA = 0.15, 0.6
 """Gains of the built-in star, 1/s."""
 
 ROUNDING = 1e-12
-"""Relative: distances are differences of numbers ten times as large, each right to 1e-16."""
+"""Relative: distances are differences of numbers ten times as large, each correct to 1e-16."""
 
 
 def cloud(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -37,7 +37,7 @@ def matrix_of(sets: list[np.ndarray]) -> np.ndarray:
 
 
 def tree_topology(rng: np.random.Generator, robots: np.ndarray) -> list[np.ndarray]:
-    """Sets on a random tree of two to five units over these robots: each edge shares two of its own."""
+    """Return sets on a random tree of two to five units; each edge shares two robots of its own."""
     order, units = rng.permutation(robots), int(rng.integers(2, min(5, robots.size // 2 - 1) + 1))
     least = np.array([4, *[2] * (units - 1)])
     sizes = least + rng.multinomial(robots.size - least.sum(), [1 / units] * units)
@@ -53,19 +53,19 @@ def tree_topology(rng: np.random.Generator, robots: np.ndarray) -> list[np.ndarr
 
 
 def ring_topology(rng: np.random.Generator) -> list[np.ndarray]:
-    """Four units in a ring, each with three of both neighbours' robots: TC1 and TC2 without TC3 and TC5."""
+    """Return four units in a ring that share three robots each: TC1 and TC2, not TC3 and TC5."""
     order = rng.permutation(ROBOTS)
     return [np.sort(np.take(order, range(start, start + 7), mode="wrap")) for start in range(0, 16, 4)]
 
 
 def flow(L: np.ndarray, lasts_s: float) -> np.ndarray:
-    """exp(-k L t) of the Hermitian L."""
+    """Return exp(-k L t) of the Hermitian L."""
     values, modes = np.linalg.eigh(L)
     return np.asarray((modes * np.exp(-K * lasts_s * values)) @ modes.conj().T)
 
 
 def distance(points: np.ndarray, p: np.ndarray, weights: np.ndarray | float = 1.0) -> float:
-    """Half the sum of weighted squared distances from p (N,) to the nearest similar copy of points (N,)."""
+    """Return half the weighted sum of squared distances from p (N,) to the nearest similar copy of points."""
     root = np.sqrt(np.broadcast_to(weights, p.shape))
     basis = np.stack([root, root * points], axis=1)
     rest = root * p - basis @ np.linalg.lstsq(basis, root * p, rcond=None)[0]
@@ -73,7 +73,7 @@ def distance(points: np.ndarray, p: np.ndarray, weights: np.ndarray | float = 1.
 
 
 def slots(rng: np.random.Generator, mean_s: float, total_s: float) -> list[float]:
-    """Dwell times, of which none is longer than twice the mean, until the total is reached."""
+    """Return dwell times, each at most twice the mean, until the total is reached."""
     drawn: list[float] = []
     while sum(drawn) < total_s:
         drawn.append(float(rng.uniform(0.0, 2 * mean_s)))
@@ -82,10 +82,10 @@ def slots(rng: np.random.Generator, mean_s: float, total_s: float) -> list[float
 
 @pytest.mark.parametrize("mean_s", [SLOT_S, 0.1, 0.005])
 @pytest.mark.parametrize("kind", ["tree", "ring"])
-def test_the_distance_to_the_shape_falls_through_changes_at_any_rate(kind: str, mean_s: float) -> None:
-    """The exact linear flow, a random topology in each dwell time: E falls by exp(-2 k λ_3 t) at least.
+def test_shape_distance_decreases_under_any_switching(kind: str, mean_s: float) -> None:
+    """The exact linear flow, a random topology in each dwell time: E falls by at least exp(-2 k λ_3 t).
 
-    Meanwhile V, the sum over units, rises at a fair share of the changes.
+    Meanwhile V, the sum over units, increases at a considerable share of the changes.
     """
     rng = np.random.default_rng([1, int(1000 * mean_s), kind == "ring"])
     rises = changes = 0
@@ -105,13 +105,13 @@ def test_the_distance_to_the_shape_falls_through_changes_at_any_rate(kind: str, 
             value = distance(points, p)
             assert value <= before * np.exp(-2 * K * slowest_rate(points, sets) * dwell_s) + ROUNDING * start
         assert value < start
-    assert rises > 0.2 * changes, "V itself is not what shows it"
+    assert rises > 0.2 * changes, "V itself is not monotonic"
 
 
 def unicycles(
     rng: np.random.Generator, dwell_s: float, total_s: float, limit_mps: float = np.inf
 ) -> tuple[float, list[float]]:
-    """Robots under skyherd's wheel law with a new random tree in each dwell time: E at the ends of slots."""
+    """Drive robots under skyherd's wheel law, a new random tree per dwell time; return E at slot ends."""
     points, p = cloud(rng, ROBOTS), 5 * cloud(rng, ROBOTS)
     headings = rng.uniform(-np.pi, np.pi, ROBOTS)
     start, told, step_s = distance(points, p), [], 0.1
@@ -129,11 +129,11 @@ def unicycles(
 
 @pytest.mark.parametrize("dwell_s", [SLOT_S, 0.1])
 @pytest.mark.parametrize("limit_mps", [np.inf, 0.5])
-def test_two_seconds_suffice_for_robots_that_turn(dwell_s: float, limit_mps: float) -> None:
-    """Unicycles at random headings, without and with a limit of speed: E falls from slot to slot.
+def test_unicycles_converge_with_dwell_time_of_two_seconds(dwell_s: float, limit_mps: float) -> None:
+    """Unicycles at random headings, without and with a speed limit: E falls from slot to slot.
 
-    After a minute, 30 slots, the shape error is below a hundredth of what it was. No topology is seen twice.
-    Sets that change at every step, twenty times as often, do as well.
+    After a minute, 30 slots, the shape error is below 1 % of its start. No topology occurs twice. Sets that
+    change at every step, twenty times as often, converge as well.
     """
     rng = np.random.default_rng([2, int(10 * dwell_s), int(np.isfinite(limit_mps))])
     for _ in range(3):
@@ -143,12 +143,12 @@ def test_two_seconds_suffice_for_robots_that_turn(dwell_s: float, limit_mps: flo
 
 
 @pytest.mark.parametrize("mean_s", [SLOT_S, 0.1])
-def test_one_shared_robot_leaves_the_shape_open_through_all_changes(mean_s: float) -> None:
-    """Two halves that share robot 0 alone, each changing within P: V vanishes, and E stays where it must.
+def test_one_shared_robot_leaves_shape_undetermined(mean_s: float) -> None:
+    """Two halves that share only robot 0, each switching within P: V vanishes, and E stays positive.
 
-    One half may turn and grow about robot 0: the four numbers of both halves' similarities, but for the one
-    place that they share, leave one mode that none of the topologies sees. The flow keeps it, so that E never
-    falls below its share, which is exact.
+    One half may rotate and scale about robot 0. Both halves' similarities have four numbers. The one position
+    that they share leaves one mode that no topology observes. The flow keeps it, so that E never falls below
+    its share, which is exact.
     """
     rng = np.random.default_rng([3, int(10 * mean_s)])
     for _ in range(2):
@@ -170,10 +170,10 @@ def test_one_shared_robot_leaves_the_shape_open_through_all_changes(mean_s: floa
 
 
 def quickest_rise(points: np.ndarray, L: np.ndarray, factors: np.ndarray) -> tuple[float, np.ndarray]:
-    """The greatest dE/dt over E, 1/s, with dp/dt = -diag(factors) L p, and the positions that have it.
+    """Return the maximum of dE/dt over E, 1/s, with dp/dt = -diag(factors) L p, and its positions.
 
-    dE/dt = -Re p* (I - Π) F L p is a quadratic form, and so is E: the greatest eigenvalue of one of them
-    where the other one is 1, among errors from the shape.
+    dE/dt = -Re p* (I - Π) F L p and E are quadratic forms. The maximum is the greatest eigenvalue of the
+    first where the second is 1, among errors from the shape.
     """
     basis = np.linalg.svd(np.stack([np.ones(ROBOTS), points], axis=1))[0][:, 2:]  # all but the similarities
     moved = -basis.conj().T @ (factors[:, None] * L) @ basis
@@ -182,17 +182,17 @@ def quickest_rise(points: np.ndarray, L: np.ndarray, factors: np.ndarray) -> tup
 
 
 def rate(points: np.ndarray, p: np.ndarray, velocity: np.ndarray, weights: np.ndarray | float = 1.0) -> float:
-    """dE/dt, by central differences, which for a quadratic form have no error but rounding, 1e-16 E / h."""
+    """Return dE/dt by central differences; for a quadratic form the only error is rounding, 1e-16 E / h."""
     h = 1e-4
     ahead, behind = (distance(points, p + sign * h * velocity, weights) for sign in (1, -1))
     return (ahead - behind) / (2 * h)
 
 
-def test_gains_of_the_robots_own_need_weights_and_may_not_change() -> None:
-    """dp/dt = -diag(k_i) L p: with weights 1 / k_i dE/dt = -2 V still, and E alone may rise.
+def test_individual_gains_need_constant_weights() -> None:
+    """dp/dt = -diag(k_i) L p: with weights 1 / k_i dE/dt is still -2 V, and E alone may increase.
 
-    Units' scales in pixels are such gains, and change as units take robots over: then no weights serve, and
-    Proposition 1 is what is left. With one gain for all E rises nowhere.
+    Units' scales in pixels are such gains, and change as units take robots over. No weights then exist, and
+    only Proposition 1 remains. With one gain for all robots E never increases.
     """
     rng = np.random.default_rng(4)
     rises = []
@@ -208,8 +208,8 @@ def test_gains_of_the_robots_own_need_weights_and_may_not_change() -> None:
     assert np.mean(rises) > 0.5
 
 
-def test_robots_that_do_not_face_their_goals_can_raise_the_distance() -> None:
-    """While robots turn, by less than 90 degrees off their goals, V falls and E need not."""
+def test_misaligned_robots_can_increase_distance() -> None:
+    """While robots turn, by less than 90 degrees off their goals, V falls and E may increase."""
     rng = np.random.default_rng(6)
     rises = []
     for _ in range(30):

@@ -245,6 +245,7 @@ def test_star_outline_joins_tip_to_notch(count: int) -> None:
     assert ((radii > 0.9) != (np.roll(radii, 1) > 0.9)).all()
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 11])
 def test_outline_visits_each_point_and_never_crosses(count: int) -> None:
     points = to_complex(np.random.default_rng(count).normal(size=(count, 2)))

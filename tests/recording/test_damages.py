@@ -9,11 +9,13 @@ whose writer was killed.
 import errno
 import io
 import os
+import zlib
 from dataclasses import dataclass
 from itertools import islice, pairwise
 
 import numpy as np
 import pytest
+import zstandard
 
 from skyherd.datasets import load_mission
 from skyherd.errors import InputError
@@ -25,6 +27,10 @@ from skyherd.recording.writer import McapRecorder
 
 CHUNK_OPCODE, CHUNK_HEAD = 6, 9 + 8 + 8 + 8 + 4 + 4 + 4 + 8
 """Opcode of a chunk, and bytes before its content: record, times, size, checksum, compression, length."""
+
+
+CHECKSUM = 9 + 8 + 8 + 8
+"""Byte of a chunk at which its checksum begins: after record, times and size."""
 
 
 @dataclass
@@ -359,3 +365,22 @@ def test_chunks_are_found_at_any_block_boundary(closed, monkeypatch):
     for size in (7, 40, *range(begun[1] + 20, begun[1] + 60)):
         monkeypatch.setattr("skyherd.recording.survey.BLOCK", size)
         assert [chunk.start for chunk in survey(io.BytesIO(head)).chunks] == begun
+
+
+@pytest.mark.parametrize("is_changed", [False, True])
+@pytest.mark.parametrize("is_checked", [False, True])
+def test_chunk_without_checksum_is_never_read(closed, is_changed, is_checked):
+    """MCAP has 0 for a chunk that has no checksum: nothing tells then whether it is as it was written."""
+    start, end = closed.spans[3]
+    plain = bytearray(zstandard.decompress(closed.data[start + CHUNK_HEAD : end]))
+    if is_changed:
+        at = plain.index(b".", plain.index(b'"positions_m"')) + 1
+        plain[at] = ord("5") if plain[at] != ord("5") else ord("6")
+    packed = zstandard.compress(bytes(plain))
+    head = bytearray(closed.data[start : start + CHUNK_HEAD])
+    head[1:9] = (CHUNK_HEAD - 9 + len(packed)).to_bytes(8, "little")
+    head[CHECKSUM : CHECKSUM + 4] = (zlib.crc32(plain) if is_checked else 0).to_bytes(4, "little")
+    head[-8:] = len(packed).to_bytes(8, "little")
+    found = survey(io.BytesIO(closed.data[:start] + head + packed + closed.data[end:]))
+    assert (start in {chunk.start for chunk in found.chunks}) == is_checked
+    assert any(flaw.where == f"the chunk at byte {start}" for flaw in found.flaws) == (not is_checked)

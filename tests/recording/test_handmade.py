@@ -196,7 +196,7 @@ def test_first_of_two_wrong_keys_is_named(messages, tmp_path):
     mission = json.loads(messages[0][2])
     mission["scenario"] |= {"step_s": -1, "goal": 3}
     write(tmp_path / "run.mcap", [(*messages[0][:2], json.dumps(mission)), *messages[2:]])
-    with pytest.raises(InputError, match=r"another version of skyherd \(step_s: "):
+    with pytest.raises(InputError, match=r"another version of skyherd \(scenario: step_s: -1; a finite"):
         read_recording(tmp_path / "run.mcap")
 
 

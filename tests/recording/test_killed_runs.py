@@ -15,8 +15,9 @@ from skyherd.cli import main
 from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
 from skyherd.messages import TIME_TOLERANCE_S
+from skyherd.recording.mcap_log import FLUSH_S
 from skyherd.recording.survey import survey
-from skyherd.recording.writer import FLUSH_S, McapRecorder
+from skyherd.recording.writer import McapRecorder
 
 STEP_S = 0.1
 """Time step of the runs."""

@@ -43,6 +43,7 @@ def record(path, mission, steps, *, images=False, wall_s=1.5):
     return path
 
 
+@pytest.mark.smoke
 def test_recording_gives_same_history(tmp_path, mission, steps):
     recording = read_recording(record(tmp_path / "run.mcap", mission, steps))
     live, read = make_history(mission, steps), make_history(recording.mission, recording.steps)
@@ -155,6 +156,7 @@ def messages_of(path):
     return [(r.channel_id, r.log_time, r.data) for r in records if isinstance(r, Message)]
 
 
+@pytest.mark.smoke
 def test_same_seed_gives_same_messages(tmp_path, mission, steps, steps_again):
     first = messages_of(record(tmp_path / "first.mcap", mission, steps))
     again = messages_of(record(tmp_path / "again.mcap", mission, steps_again, wall_s=2.5))

@@ -21,6 +21,7 @@ from skyherd.render import (
     Ground,
     Renderer,
     Sensor,
+    Shot,
     footprint_m,
     project_markers,
 )
@@ -144,9 +145,9 @@ def check_exact(side: float, psf: float, tilt: float) -> None:
     camera, ids, positions, headings = team(side, HEADINGS, int(10 * side))
     pose = tilted(side, tilt, 40.0)
     renderer = make_renderer(psf)
-    truth = renderer.truth(camera, pose, ids, positions, headings)
+    truth = renderer.truth(Shot(camera, pose, ids, positions, headings))
     exact = reference_light(DICTIONARY, ids, truth.images_marker, camera.size_px, psf_px=psf)
-    worst, rms = compare(renderer.light(camera, pose, ids, positions, headings), exact)
+    worst, rms = compare(renderer.light(Shot(camera, pose, ids, positions, headings)), exact)
     assert worst < WORST
     assert rms < RMS
 
@@ -164,13 +165,14 @@ def test_light_is_right_at_every_size_blur_and_tilt(side, psf, tilt):
     check_exact(side, psf, tilt)
 
 
+@pytest.mark.smoke
 def test_a_blur_wrong_by_a_hundredth_would_be_noticed():
     """200 levels, 0.24 of them a σ at the steepest bend: 1 % is 0.5 grey. The check above can fail."""
     camera, ids, positions, headings = team(30.0, HEADINGS, 1)
     pose = tilted(30.0, 0.0, 0.0)
-    truth = make_renderer().truth(camera, pose, ids, positions, headings)
+    truth = make_renderer().truth(Shot(camera, pose, ids, positions, headings))
     exact = reference_light(DICTIONARY, ids, truth.images_marker, camera.size_px, psf_px=0.8)
-    worst, rms = compare(make_renderer(0.815).light(camera, pose, ids, positions, headings), exact)
+    worst, rms = compare(make_renderer(0.815).light(Shot(camera, pose, ids, positions, headings)), exact)
     assert worst > WORST
     assert rms > RMS
 
@@ -196,8 +198,8 @@ def test_a_perfect_fit_has_no_bias(side, psf, tilt):
     """
     camera, ids, positions, headings = team(float(side), HEADINGS, side)
     pose, renderer = tilted(float(side), tilt, -70.0), make_renderer(psf)
-    truth = renderer.truth(camera, pose, ids, positions, headings)
-    light = renderer.light(camera, pose, ids, positions, headings)
+    truth = renderer.truth(Shot(camera, pose, ids, positions, headings))
+    light = renderer.light(Shot(camera, pose, ids, positions, headings))
 
     def exact(image_marker: np.ndarray, index: int) -> np.ndarray:
         # A frame of one marker: the others' pixels do not depend on its pose.
@@ -250,10 +252,10 @@ def test_a_lens_is_drawn_through_as_opencv_has_it():
         return cv2.projectPoints(rays, none, none, matrix, order)[0].reshape(-1, 2)
 
     exact = reference_light(DICTIONARY, ids, images, camera.size_px, psf_px=0.8, bend=bend)
-    worst, rms = compare(renderer.light(camera, pose, ids, positions, headings), exact)
+    worst, rms = compare(renderer.light(Shot(camera, pose, ids, positions, headings)), exact)
     assert worst < WORST
     assert rms < RMS
-    truth = renderer.truth(camera, pose, ids, positions, headings)
+    truth = renderer.truth(Shot(camera, pose, ids, positions, headings))
     centers = images[:, :2, 2] / images[:, 2:, 2]
     np.testing.assert_allclose(truth.centers_px, bend(centers), atol=1e-9)
     assert np.abs(truth.centers_px - centers).max() > 5, "the lens moves markers by pixels"
@@ -265,12 +267,12 @@ def test_markers_cut_by_the_border_are_the_whole_ones_cut():
     ids, positions, headings = np.arange(12), rng.uniform(-3, 3, (12, 2)) * 1.4, rng.uniform(-3, 3, 12)
     pose, renderer = CameraPose((0.0, 0.0), 10.0, 0.3, (0.1, 0.1)), make_renderer()
     small, large = Camera((200, 160), 250.0, (99.0, 79.0)), Camera((360, 320), 250.0, (179.0, 159.0))
-    light = renderer.light(small, pose, ids, positions, headings)
-    whole = renderer.light(large, pose, ids, positions, headings)
+    light = renderer.light(Shot(small, pose, ids, positions, headings))
+    whole = renderer.light(Shot(large, pose, ids, positions, headings))
     np.testing.assert_allclose(
         light, whole[80:-80, 80:-80], atol=2 * 0.08, rtol=0, err_msg="but for the table's step"
     )
-    truth = renderer.truth(small, pose, ids, positions, headings)
+    truth = renderer.truth(Shot(small, pose, ids, positions, headings))
     cut = (truth.visible_fractions > 0) & (truth.visible_fractions < 1)
     assert cut.sum() >= 3, "the test has cut markers"
 
@@ -279,15 +281,18 @@ def test_later_markers_lie_over_earlier_ones():
     ids, headings = np.array([4, 9]), np.array([0.4, 1.5])
     positions = np.array([[0.0, 0.0], [0.5, 0.3]])
     camera, pose, renderer = Camera((120, 120), 400.0), CameraPose((0.0, 0.0), 10.0), make_renderer()
-    truth = renderer.truth(camera, pose, ids, positions, headings)
+    truth = renderer.truth(Shot(camera, pose, ids, positions, headings))
     exact = reference_light(DICTIONARY, ids, truth.images_marker, camera.size_px, psf_px=0.8)
-    assert compare(renderer.light(camera, pose, ids, positions, headings), exact)[0] < 2 * WORST, (
+    assert compare(renderer.light(Shot(camera, pose, ids, positions, headings)), exact)[0] < 2 * WORST, (
         "two in one pixel"
     )
 
 
+@pytest.mark.smoke
 def test_white_and_black_are_the_markers_levels():
     pose, place = CameraPose((0.0, 0.0), 10.0, 0.2), np.array([[0.1, 0.0]])
-    light = make_renderer().light(Camera((200, 160), 1200.0), pose, np.array([5]), place, np.array([0.3]))
+    light = make_renderer().light(
+        Shot(Camera((200, 160), 1200.0), pose, np.array([5]), place, np.array([0.3]))
+    )
     assert light.max() == pytest.approx(WHITE, abs=0.01)
     assert light.min() == pytest.approx(BLACK, abs=0.01)

@@ -15,6 +15,7 @@ from skyherd.render import (
     Motion,
     Renderer,
     Sensor,
+    Shot,
     Shutter,
     homography_image_ground,
     project,
@@ -95,7 +96,7 @@ def test_ground_through_a_lens_is_where_the_lens_puts_it():
     sensor = Sensor(0.0, np.random.default_rng(0))
     renderer = Renderer("4X4_50", 1.0, ground, sensor)
     none = np.zeros(0, dtype=int), np.zeros((0, 2)), np.zeros(0)
-    straight, curved = (renderer.render(c, pose, *none).astype(float) for c in (plain, bent))
+    straight, curved = (renderer.render(Shot(c, pose, *none)).astype(float) for c in (plain, bent))
     v, u = np.mgrid[20:180:7, 20:220:7]
     points = np.stack([u, v], axis=-1).reshape(-1, 2)
     grid = footprint_points(plain, pose, points)
@@ -136,7 +137,7 @@ def test_rolling_rows_of_the_ground_are_of_their_own_instant():
         sensor = Sensor(0.0, np.random.default_rng(0))
         return (
             Renderer("4X4_50", 1.0, ground, sensor, shutter=shutter)
-            .render(camera, at, *none, motion=motion)
+            .render(Shot(camera, at, *none, motion=motion))
             .astype(float)
         )
 
@@ -165,7 +166,9 @@ def test_clutter_is_dark_quads_as_many_as_asked_for_and_fixed_to_the_ground():
     camera, pose = Camera((400, 400), 200.0), CameraPose((10.0, 10.0), 10.0)
     none = np.zeros(0, dtype=int), np.zeros((0, 2)), np.zeros(0)
     sensor = Sensor(0.0, np.random.default_rng(0))
-    bare, dark = (Renderer("4X4_50", 1.0, g, sensor).render(camera, pose, *none) for g in (plain, covered))
+    bare, dark = (
+        Renderer("4X4_50", 1.0, g, sensor).render(Shot(camera, pose, *none)) for g in (plain, covered)
+    )
     assert (bare == 150).all()
     assert 0.05 < (dark < 70).mean() < 0.5
 

@@ -11,6 +11,7 @@ from skyherd.render import (
     Ground,
     Renderer,
     Sensor,
+    Shot,
     homography_image_ground,
     project,
     project_markers,
@@ -41,6 +42,7 @@ FLAT = Ground(0, mean=GROUND, contrast=0.0)
 # --- cameras: the frames of ARCHITECTURE.md ---
 
 
+@pytest.mark.smoke
 def test_the_image_is_what_one_sees_looking_down() -> None:
     """At yaw 0 +u is east (+x), +v is south (-y): north is up in the image, and it is not mirrored."""
     camera = Camera((640, 480), focal_px=500.0)
@@ -80,7 +82,7 @@ def test_a_mirrored_camera_renders_the_flipped_image() -> None:
     pose = CameraPose((0.1, 0.0), 5.0, 0.3)
     image, flipped = (
         flat_renderer()
-        .render(Camera((300, 240), 250.0, mirrored=m), pose, ids, positions, headings)
+        .render(Shot(Camera((300, 240), 250.0, mirrored=m), pose, ids, positions, headings))
         .astype(float)
         for m in (False, True)
     )
@@ -105,11 +107,12 @@ def test_footprint_is_what_projects_to_the_images_border() -> None:
     np.testing.assert_allclose(corners, expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.smoke
 def test_the_marker_faces_where_the_robot_does() -> None:
     """Robot at heading +90 deg (north) under a camera at yaw 0: its pattern stands upright in the image."""
     camera = Camera((IMAGE_PX, IMAGE_PX), 60.0)
     image = flat_renderer().render(
-        camera, CameraPose((0, 0), 1.0), np.array([11]), np.zeros((1, 2)), np.array([np.pi / 2])
+        Shot(camera, CameraPose((0, 0), 1.0), np.array([11]), np.zeros((1, 2)), np.array([np.pi / 2]))
     )
     middle = (IMAGE_PX - 1) / 2 + 10 * (np.arange(8) - 3.5)
     rows, columns = np.meshgrid(np.rint(middle).astype(int), np.rint(middle).astype(int), indexing="ij")
@@ -120,7 +123,7 @@ def test_the_quiet_zone_is_white_all_round() -> None:
     """A ring of one cell, 10 px wide here: its middle, 5 px outside the black square, is white."""
     camera = Camera((IMAGE_PX, IMAGE_PX), 60.0)
     image = flat_renderer().render(
-        camera, CameraPose((0, 0), 1.0), np.array([11]), np.zeros((1, 2)), np.array([0.0])
+        Shot(camera, CameraPose((0, 0), 1.0), np.array([11]), np.zeros((1, 2)), np.array([0.0]))
     )
     middle, out = (IMAGE_PX - 1) / 2, 35
     along = np.arange(-30, 31) + middle
@@ -153,7 +156,7 @@ def scene(seed: int, ground: Ground) -> np.ndarray:
     renderer = Renderer(DICTIONARY, 1.0, ground, Sensor(2.0, np.random.default_rng(seed)))
     camera, pose = Camera((320, 240), 200.0), CameraPose((1.0, 2.0), 8.0, 0.4)
     return renderer.render(
-        camera, pose, np.array([1, 2]), np.array([[1.0, 2.0], [3.0, 2.5]]), np.array([0.0, 1.0])
+        Shot(camera, pose, np.array([1, 2]), np.array([[1.0, 2.0], [3.0, 2.5]]), np.array([0.0, 1.0]))
     )
 
 
@@ -173,6 +176,6 @@ def test_a_camera_that_looks_away_from_the_origin_sees_what_is_before_it() -> No
         pose = CameraPose((float(away[0]), float(away[1])), 10.0, tilt_rad=tilt)
         team = np.array([3]), ahead + away, np.array([0.5])
         assert project(camera, pose, team[1])[0] == pytest.approx([59.5, 59.5], abs=1e-9)
-        images.append(flat_renderer().render(camera, pose, *team))
+        images.append(flat_renderer().render(Shot(camera, pose, *team)))
     assert images[0].max() > 200 and images[0].min() < 100
     np.testing.assert_array_equal(*images)

@@ -15,6 +15,7 @@ from skyherd.render import (
     Quad,
     Renderer,
     Sensor,
+    Shot,
     Shutter,
     project_markers,
 )
@@ -51,8 +52,8 @@ def test_a_quad_is_opaque_and_blurred_as_everything_is():
     camera, pose, ids, positions, headings = scene()
     corners = np.array([[0.0, -0.4], [0.9, -0.4], [0.9, 0.5], [0.0, 0.5]])
     renderer = make_renderer()
-    light = renderer.light(camera, pose, ids, positions, headings, occluders=[Quad(corners, 70.0)])
-    bare = renderer.light(camera, pose, ids, positions, headings)
+    light = renderer.light(Shot(camera, pose, ids, positions, headings, occluders=[Quad(corners, 70.0)]))
+    bare = renderer.light(Shot(camera, pose, ids, positions, headings))
     image_ground = np.linalg.inv(project_markers(camera, pose, [[0, 0]], [0.0], 1.0, 1.0).images_marker[0])
     points = np.column_stack([corners, np.ones(4)]) @ np.linalg.inv(image_ground).T
     outline = points[:, :2] / points[:, 2:]
@@ -67,7 +68,7 @@ def test_a_disc_covers_its_area():
     """Light missing over plain ground is the disc's area, to 0.1 %: that of `(σ / R)⁴ / 4` is far less."""
     camera, pose, ids, positions, headings = scene()
     light = make_renderer().light(
-        camera, pose, ids[:0], positions[:0], headings[:0], occluders=[Disc((0, 0), 0.6, 28.0)]
+        Shot(camera, pose, ids[:0], positions[:0], headings[:0], occluders=[Disc((0, 0), 0.6, 28.0)])
     )
     assert (GROUND - light).sum() / 100.0 == pytest.approx(np.pi * (0.6 * 40) ** 2, rel=1e-3)
     assert light[80, 100] == pytest.approx(28.0, abs=0.01)
@@ -131,30 +132,32 @@ def test_each_row_of_a_rolling_shutter_is_that_row_of_its_own_instant(lens):
     """0.5 grey levels: each of both images is right to 0.25."""
     camera, pose = Camera((160, 120), 150.0, distortion=lens), CameraPose((0.1, 0.0), 5.0, 0.3, (0.05, 0.1))
     row_time_s = 3e-4  # 36 ms from first row to last, in which the robots turn by 2 and 4 deg
-    rolling = make_renderer(shutter=Shutter(row_time_s=row_time_s)).light(camera, pose, *PAIR, motion=MOVING)
+    rolling = make_renderer(shutter=Shutter(row_time_s=row_time_s)).light(
+        Shot(camera, pose, *PAIR, motion=MOVING)
+    )
     ids, positions, headings = PAIR
     for v in range(30, 95, 8):
         t = row_time_s * (v - 59.5)
         still = make_renderer().light(
-            camera, MOVING.pose_at(pose, t), ids, *MOVING.robots_at(positions, headings, t)
+            Shot(camera, MOVING.pose_at(pose, t), ids, *MOVING.robots_at(positions, headings, t))
         )
         np.testing.assert_allclose(rolling[v], still[v], atol=WORST)
-    assert np.abs(rolling - make_renderer().light(camera, pose, *PAIR)).max() > 10, "it matters"
+    assert np.abs(rolling - make_renderer().light(Shot(camera, pose, *PAIR))).max() > 10, "it matters"
 
 
 def test_motion_blur_is_the_mean_over_the_exposure():
     """Against 60 instants in the middles of equal parts; blur of 6 px."""
     camera, pose = Camera((160, 120), 150.0), CameraPose((0.1, 0.0), 5.0, 0.3)
     exposure_s = 0.1
-    blurred = make_renderer(shutter=Shutter(exposure_s)).light(camera, pose, *PAIR, motion=MOVING)
+    blurred = make_renderer(shutter=Shutter(exposure_s)).light(Shot(camera, pose, *PAIR, motion=MOVING))
     ids, positions, headings = PAIR
     total = np.zeros((120, 160))
     for t in exposure_s * ((np.arange(60) + 0.5) / 60 - 0.5):
         total += make_renderer().light(
-            camera, MOVING.pose_at(pose, t), ids, *MOVING.robots_at(positions, headings, t)
+            Shot(camera, MOVING.pose_at(pose, t), ids, *MOVING.robots_at(positions, headings, t))
         )
     np.testing.assert_allclose(blurred, total / 60, atol=WORST)
-    sharp = make_renderer().light(camera, pose, *PAIR, motion=MOVING)
+    sharp = make_renderer().light(Shot(camera, pose, *PAIR, motion=MOVING))
     assert np.abs(blurred - sharp).max() > 10, "it matters"
-    still = make_renderer(shutter=Shutter(exposure_s)).light(camera, pose, *PAIR)
+    still = make_renderer(shutter=Shutter(exposure_s)).light(Shot(camera, pose, *PAIR))
     np.testing.assert_array_equal(still, sharp, "nothing moves, nothing is blurred")

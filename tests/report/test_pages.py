@@ -40,6 +40,7 @@ def test_every_page_extends_base_and_uses_autoescape(package: str) -> None:
         assert "safe" not in text and "autoescape" not in text
 
 
+@pytest.mark.smoke
 def test_inserted_text_never_becomes_markup() -> None:
     table = {"title": HOSTILE, "note": HOSTILE, "header": [HOSTILE, HOSTILE], "rows": [[HOSTILE, HOSTILE]]}
     values = {"tiles": [], "figures": [], "tables": [table], "environment": [(HOSTILE, HOSTILE)]}

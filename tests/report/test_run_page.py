@@ -101,6 +101,7 @@ def test_page_is_self_contained(page: Path, on_page: tuple[Panel, ...]) -> None:
     assert len(ids) == len(set(ids))
 
 
+@pytest.mark.smoke
 def test_page_shows_every_summary_value(page: Path, history: History) -> None:
     text = page.read_text("utf-8")
     summary = summarize(history, 1.5)

@@ -24,6 +24,7 @@ def agents(made) -> UnitAgents:
     return UnitAgents(load_mission("star"), controller)
 
 
+@pytest.mark.smoke
 def test_a_unit_that_died_knows_nothing_and_is_made_anew_once(agents, made, make_detections) -> None:
     """However long it is dead: an outage of ten seconds is a hundred steps."""
     points = 200 + 100 * np.exp(2j * np.pi * np.arange(5) / 5)

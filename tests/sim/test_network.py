@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from skyherd.cli.run import _warn_of_the_radio
+from skyherd.datasets import NetworkModel
 from skyherd.datasets.configuration.mission import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.loop import run_steps
 from skyherd.messages import NO_ID
-from skyherd.sim.network import Network, NetworkParameters, connected_parts
+from skyherd.sim.network import Network, connected_parts
 from skyherd.sim.physics import make_network
 
 
@@ -18,7 +19,7 @@ from skyherd.sim.physics import make_network
 def send_many(make_goals, make_report):
     """Send 400 messages of unit 0, at time 0, through a network of three units."""
 
-    def send(parameters: NetworkParameters, seed: int = 1) -> Network:
+    def send(parameters: NetworkModel, seed: int = 1) -> Network:
         network = Network(parameters, np.random.default_rng(seed), 3)
         for _ in range(400):
             network.send([make_goals(0, [0], [1])], make_report(0, [0], [0], [0]), 1.0)
@@ -29,10 +30,10 @@ def send_many(make_goals, make_report):
 
 def test_delays_are_spread_evenly_over_their_range(send_many) -> None:
     """Goals that arrived by a quarter of the range: 400 draws, 5 standard deviations of a binomial."""
-    network = send_many(NetworkParameters(delay_s=0.8))
+    network = send_many(NetworkModel(delay_s=0.8))
     assert network.deliver(0.99) == []
     for share in (0.25, 0.75):
-        network = send_many(NetworkParameters(delay_s=0.8))
+        network = send_many(NetworkModel(delay_s=0.8))
         arrived = len(network.deliver(1.0 + 0.8 * share))
         assert arrived / 400 == pytest.approx(share, abs=5 * np.sqrt(share * (1 - share) / 400))
         assert arrived + len(network.deliver(1.8)) == 400, "late, and none lost"
@@ -42,7 +43,7 @@ def test_each_receiver_has_a_delay_of_its_own(make_report) -> None:
     """Of 400 reports each receiver is first in half, to 5 standard deviations of a binomial."""
     first = np.zeros(2)
     for seed in range(400):
-        network = Network(NetworkParameters(delay_s=1.0), np.random.default_rng(seed), 3)
+        network = Network(NetworkModel(delay_s=1.0), np.random.default_rng(seed), 3)
         network.send([], make_report(0, [0], [0], [0]), 0.0)
         for time_s in np.arange(0.0, 1.01, 0.01):
             network.deliver(time_s)
@@ -53,14 +54,14 @@ def test_each_receiver_has_a_delay_of_its_own(make_report) -> None:
 
 
 def test_repeats_are_of_the_stated_share_and_the_same_message(send_many) -> None:
-    network = send_many(NetworkParameters(repeats=0.3))
+    network = send_many(NetworkModel(repeats=0.3))
     delivered = [delivery.message for delivery in network.deliver(1.0)]
     assert (len(delivered) - 400) / 400 == pytest.approx(0.3, abs=5 * np.sqrt(0.21 / 400))
     assert len({id(goals) for goals in delivered}) == 400
 
 
 def test_a_report_that_was_overtaken_changes_nothing(make_report) -> None:
-    network = Network(NetworkParameters(), np.random.default_rng(0), 2)
+    network = Network(NetworkModel(), np.random.default_rng(0), 2)
     report = make_report(0, [0], [0], [0])
     network.send([], replace(report, time_s=5.0), 1.0)
     network.send([], replace(report, time_s=4.0), 1.5)
@@ -70,7 +71,7 @@ def test_a_report_that_was_overtaken_changes_nothing(make_report) -> None:
 
 
 def test_the_dead_forget(make_report) -> None:
-    network = Network(NetworkParameters(), np.random.default_rng(0), 2)
+    network = Network(NetworkModel(), np.random.default_rng(0), 2)
     network.send([], make_report(0, [0], [0], [0]), 0.0)
     network.deliver(0.0)
     network.forget(1)
@@ -82,13 +83,13 @@ CHAIN = [[0, 1], [0, 1, 2], [1, 2, 3], [2, 3]]
 
 
 def test_reports_reach_units_out_of_range_by_relay_one_delay_later_for_each_hop(make_report) -> None:
-    network = Network(NetworkParameters(relay_s=0.25), np.random.default_rng(0), 4)
+    network = Network(NetworkModel(relay_s=0.25), np.random.default_rng(0), 4)
     network.connect(CHAIN)
     network.send([], make_report(0, [0], [0], [0]), 1.0)
     for time_s, heard in ((0.9, []), (1.0, [1]), (1.2, [1]), (1.25, [1, 2]), (1.5, [1, 2, 3])):
         network.deliver(time_s)
         assert [unit for unit in range(4) if network.reports[unit]] == heard
-    network = Network(NetworkParameters(), np.random.default_rng(0), 4)
+    network = Network(NetworkModel(relay=False), np.random.default_rng(0), 4)
     network.connect(CHAIN)
     network.send([], make_report(0, [0], [0], [0]), 1.0)
     network.deliver(9.0)
@@ -96,7 +97,7 @@ def test_reports_reach_units_out_of_range_by_relay_one_delay_later_for_each_hop(
 
 
 def test_the_dead_pass_nothing_on_and_a_ring_of_relays_falls_silent(make_report) -> None:
-    network = Network(NetworkParameters(relay_s=0.1), np.random.default_rng(0), 4)
+    network = Network(NetworkModel(relay_s=0.1), np.random.default_rng(0), 4)
     network.connect(CHAIN, dead=[1])
     network.send([], make_report(0, [0], [0], [0]), 0.0)
     network.deliver(9.0)
@@ -118,7 +119,7 @@ def test_a_report_that_was_lost_on_its_way_is_passed_on_with_the_next_one_of_the
     """Half of all messages are lost: with 40 reports of unit 1, unit 2 has heard of the one of unit 0."""
     heard = 0
     for seed in range(50):
-        network = Network(NetworkParameters(message_loss=0.5, relay_s=0.01), np.random.default_rng(seed), 3)
+        network = Network(NetworkModel(message_loss=0.5, relay_s=0.01), np.random.default_rng(seed), 3)
         network.connect([[0, 1], [0, 1, 2], [1, 2]])
         network.reports[1][0] = make_report(0, [0], [0], [0])
         for tick in range(40):
@@ -136,7 +137,7 @@ def test_parts_of_a_team_that_hear_of_each_other() -> None:
 @pytest.mark.parametrize(
     ("network", "warning"),
     [
-        ({"range_m": 3.0}, "units 0 | 1 cannot hear of each other at the start (network.range_m = 3)"),
+        ({"range_m": 3.0}, "units 0 | 1 cannot reach each other at the start (network.range_m = 3)"),
         ({"range_m": 30.0}, ""),
         ({"range_m": 30.0, "relay": False}, ""),
         ({}, ""),
@@ -167,14 +168,13 @@ def test_units_out_of_range_do_not_hear_one_another() -> None:
     assert trees == {3.0: [0, 1], 30.0: [0, 0]}
 
 
+@pytest.mark.smoke
 def test_every_key_of_a_scenario_reaches_the_network(scenario_tree) -> None:
     faults = {"message_loss": 0.1, "delay_s": 0.2, "repeats": 0.3, "relay_s": 0.05}
     scenario = make_mission(scenario_tree("star") | {"network": faults}).scenario
     network = make_network(scenario, np.random.default_rng(0))
-    assert network.parameters == NetworkParameters(**faults)
+    assert network.model == NetworkModel(**faults)
     assert network.units == len(network.reports) == len(scenario.units)
-    silent = make_mission(scenario_tree("star") | {"network": faults | {"relay": False}}).scenario
-    assert make_network(silent, np.random.default_rng(0)).parameters.relay_s is None
 
 
 @pytest.mark.parametrize(("outages", "founders"), [([], 1), ([[0.0, 100.0]], 2)])

@@ -131,6 +131,7 @@ def test_a_single_camera_stays_in_its_process():
         assert not perception._helpers
 
 
+@pytest.mark.smoke
 def test_images_are_ones_own():
     """The memory that helpers write to is used again for the next image."""
     mission = load_mission("star", SMALL)

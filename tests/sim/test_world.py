@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from skyherd.datasets import Mission, make_mission
+from skyherd.datasets import Mission, NetworkModel, make_mission
 from skyherd.loop import run_steps
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.render import project
-from skyherd.sim.network import Network, NetworkParameters
+from skyherd.sim.network import Network
 from skyherd.sim.physics import make_world
 from skyherd.sim.world import World, move_unicycles
 
@@ -35,6 +35,7 @@ def same_angle(one: np.ndarray, other: np.ndarray, tolerance: float) -> None:
 # --- unicycles ---
 
 
+@pytest.mark.smoke
 def test_arcs_are_circles() -> None:
     """x' = x + (v/w)(sin(th + w t) - sin th), y' = y - (v/w)(cos(th + w t) - cos th): w here above 0.01."""
     positions, headings, v, omega = random_robots(1)
@@ -240,8 +241,9 @@ def test_wheels_have_limits(mission_of) -> None:
 # --- network ---
 
 
+@pytest.mark.smoke
 def test_messages_arrive_after_their_latency_and_once(make_goals, make_report) -> None:
-    network = Network(NetworkParameters(), np.random.default_rng(0), 2)
+    network = Network(NetworkModel(), np.random.default_rng(0), 2)
     network.send([make_goals(0, [1, 2], [1, 2])], make_report(0, [1, 2], [0, 1], [1, 2]), 0.25)
     assert network.deliver(0.2) == []
     assert network.reports == [{}, {}]
@@ -257,7 +259,7 @@ def test_messages_arrive_after_their_latency_and_once(make_goals, make_report) -
 @pytest.mark.parametrize("loss", [0.1, 0.5])
 def test_losses_are_independent_and_of_the_stated_share(make_goals, make_report, loss) -> None:
     """4000 receptions by robots, 1000 by units: 5 standard deviations of a binomial."""
-    network = Network(NetworkParameters(message_loss=loss), np.random.default_rng(1), 2)
+    network = Network(NetworkModel(message_loss=loss), np.random.default_rng(1), 2)
     heard, reports = [], 0
     for n in range(1000):
         network.send([make_goals(0, [0, 1, 2, 3], [1, 1, 1, 1])], make_report(0, [0], [0], [0]), n)
@@ -274,7 +276,7 @@ def test_losses_are_independent_and_of_the_stated_share(make_goals, make_report,
 
 def test_losses_come_from_the_generator(make_goals, make_report) -> None:
     def receptions(seed: int) -> list[list[bool]]:
-        network = Network(NetworkParameters(message_loss=0.4), np.random.default_rng(seed), 1)
+        network = Network(NetworkModel(message_loss=0.4), np.random.default_rng(seed), 1)
         result = []
         for n in range(30):
             network.send([make_goals(0, [0, 1], [1, 1])], make_report(0, [0], [0], [0]), n)

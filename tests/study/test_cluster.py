@@ -138,7 +138,7 @@ def test_lost_scheduler_is_reported_and_outcomes_kept(
     _, err = process.communicate(timeout=600)
     assert (process.returncode, err) == (
         2,
-        "error: the scheduler is gone; the same command goes on from here\n",
+        "error: the scheduler stopped; the same command continues from here\n",
     )
     assert Store(out).keys()
 

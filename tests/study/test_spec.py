@@ -14,6 +14,7 @@ from skyherd.study.plan import draw_settings, make_plan, mission_key, sweep_sett
 from skyherd.study.spec import StudySpec, load_study, study_names
 
 
+@pytest.mark.smoke
 def test_grid_is_enumerated_with_last_key_fastest(write_study: Any) -> None:
     runs = make_plan(load_study(str(write_study()))).runs
     pairs = [(run.parameters["control.k"], run.parameters["units.0.yaw_deg"]) for run in runs]
@@ -138,7 +139,16 @@ def test_documented_example_is_valid(write_study: Any) -> None:
     assert {run.sweep for run in plan.runs} == {"tilt"}
 
 
-@pytest.mark.parametrize("name", study_names())
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+STUDIES = [*study_names(), *(str(BENCHMARKS / name) for name in ("ablation.toml", "gains.toml"))]
+"""Studies that users run, and those that measure the project."""
+
+
+def test_the_projects_own_studies_are_not_built_in() -> None:
+    assert study_names() == ["invariance", "methods", "noise"]
+
+
+@pytest.mark.parametrize("name", STUDIES)
 def test_built_in_studies_are_valid_with_quick_form(name: str) -> None:
     """Each run of the quick form is checked; those of the full one are counted."""
     quick, full = make_plan(load_study(name, quick=True)), load_study(name)
@@ -146,7 +156,7 @@ def test_built_in_studies_are_valid_with_quick_form(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", study_names())
+@pytest.mark.parametrize("name", STUDIES)
 def test_built_in_study_runs_are_valid(name: str) -> None:
     assert make_plan(load_study(name)).runs
 

@@ -20,6 +20,7 @@ from skyherd.study.store import PARTS, Store, open_store
 from skyherd.study.table import good_rows
 
 
+@pytest.mark.smoke
 def test_measure_matches_recorded_run() -> None:
     mission = load_mission("triangle", ["perception=ideal", "duration_s=1.0"])
     history = make_history(mission, run_steps(mission))
@@ -38,7 +39,7 @@ def test_images_are_released_during_run() -> None:
     assert step.without_images().frames[0].sight.detections is step.frames[0].sight.detections
 
 
-# Stored values
+# What is kept
 
 
 def test_table_has_row_per_run_in_order(write_study: Any, without_cluster: None, tmp_path: Path) -> None:
@@ -140,7 +141,10 @@ def test_folder_serves_one_study_at_a_time(tmp_path: Path) -> None:
         pass
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters" / "love.txt").write_text("dear")
-    with pytest.raises(InputError, match="holds something else"), open_store(tmp_path / "letters", "{}"):
+    with (
+        pytest.raises(InputError, match="is not the folder of a study"),
+        open_store(tmp_path / "letters", "{}"),
+    ):
         pass
     assert [entry.name for entry in (tmp_path / "letters").iterdir()] == ["love.txt"]
 

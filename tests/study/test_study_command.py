@@ -26,11 +26,11 @@ from skyherd.datasets import scenario_names
         ),
         ('"V_end"', '"V_ned"', ["keep", "V_ned", "V_end"]),
         ("[0.1, 0.3]", "0.3", ["grid.control.k", "list", "0.3"]),
-        ("[0.1, 0.3]", "[0.1, -3]", ["control.k=-3", "greater than", "-3"]),
+        ("[0.1, 0.3]", "[0.1, -3]", ["control.k=-3", "control.k: -3; a finite number from"]),
         ("control.k", "control.kk", ["control.kk", "unknown key"]),
         ("units.0", "units.4", ["units.4.yaw_deg", "0 to 0, or *"]),
         ("[set]", "[sett]", ["sett", "unknown key"]),
-        ("duration_s = 0.4", "control.k = 1", ["control.k: give each key once"]),
+        ("duration_s = 0.4", "control.k = 1", ["control.k is given twice; each key once"]),
         ("0.4", "", ["malformed TOML"]),
     ],
 )
@@ -49,7 +49,7 @@ def test_wrong_studies_are_rejected_in_one_line(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["nosuch"], "one of gains, invariance, methods, noise, parts"),
+        (["nosuch"], "one of invariance, methods, noise"),
         (["noise", "--jobs", "0"], "1 or more"),
         (["noise", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "one of them"),
         (["noise", "--scheduler", "nowhere"], "not an address"),
@@ -72,7 +72,7 @@ def test_foreign_folder_is_rejected_dry_or_not(
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).write_text("mine")
     call_refused = call(capsys, "study", write_study(), *options, "--out", tmp_path / "out")
-    assert_refused(call_refused, "holds something else; a new folder, or that of a study")
+    assert_refused(call_refused, "is not the folder of a study; a new folder, or that of a study")
     assert_refused(
         call(capsys, "study", write_study(), *options, "--out", tmp_path / "out" / name), "is a file"
     )

@@ -46,6 +46,7 @@ def write_video(
             sink.write(frame)
 
 
+@pytest.mark.smoke
 def test_sink_frames_keep_their_colour(tmp_path: Path) -> None:
     path = tmp_path / "video.mp4"
     write_video(path, [solid(color) for color in COLORS for _ in range(2)])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skyherd.markers.dictionary import card_side
-from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric.detector import SEARCH_INTERVAL
 from skyherd.vision.photometric.tracks import Tracks
@@ -159,7 +159,7 @@ def crowd(rng, ground):
     place = rng.uniform(0, 8, 2)  # of the ground, which is another around each crowd
     view = Camera((360, 360), focal_px=10 * side), CameraPose(tuple(place), 10.0, rng.uniform(-np.pi, np.pi))
     home = home + place
-    return renderer.render(*view, ids, home, headings), renderer.truth(*view, ids, home, headings)
+    return renderer.render(Shot(*view, ids, home, headings)), renderer.truth(Shot(*view, ids, home, headings))
 
 
 def ghosts(count, seed, grounds):

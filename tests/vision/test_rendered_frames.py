@@ -16,7 +16,7 @@ from skyherd.errors import InputError
 from skyherd.loop import run_steps
 from skyherd.markers.dictionary import card_side, dictionary_names, pose_of_corners
 from skyherd.messages import Detections
-from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, project_markers
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot, project_markers
 from skyherd.vision import create_detector, explain_mirrored
 from skyherd.vision.detectors.accuracy import load_accuracy
 
@@ -64,7 +64,7 @@ def measure(renderer: Renderer, side_px: float, frames: int, seed: int) -> Measu
         pose = CameraPose((place.real, place.imag), 10.0, yaw)
         truth = project_markers(camera, pose, positions, headings, 1.0, card_side(DICTIONARY))
         assert truth.whole.all()
-        seen = detector.detect(renderer.render(camera, pose, ids, positions, headings))
+        seen = detector.detect(renderer.render(Shot(camera, pose, ids, positions, headings)))
         row = np.searchsorted(ids, seen.ids).clip(max=PER_FRAME - 1)
         offset = seen.centers_px - truth.centers_px[row]
         right = (ids[row] == seen.ids) & (np.linalg.norm(offset, axis=1) < side_px / 2)
@@ -181,7 +181,9 @@ def test_a_robot_that_drives_forward_moves_along_its_image_heading(renderer, yaw
     start = np.array([[0.0, -1.0], [6.0, -1.0], [3.0, 4.0], [3.0, -6.0]])
     ahead = start + 2.0 * np.column_stack([np.cos(headings), np.sin(headings)])
     before, after = (
-        create_detector(dictionary=DICTIONARY).detect(renderer.render(camera, pose, ids, positions, headings))
+        create_detector(dictionary=DICTIONARY).detect(
+            renderer.render(Shot(camera, pose, ids, positions, headings))
+        )
         for positions in (start, ahead)
     )
     assert before.ids.tolist() == after.ids.tolist() == ids.tolist()
@@ -191,10 +193,11 @@ def test_a_robot_that_drives_forward_moves_along_its_image_heading(renderer, yaw
     assert np.abs(turn).max() < np.radians(1.5)
 
 
+@pytest.mark.smoke
 def test_corners_zero_and_one_lie_ahead_left_then_right(renderer) -> None:
     camera, pose = Camera((200, 200), 400.0), CameraPose((0.0, 0.0), 10.0)
     image = renderer.render(
-        camera, pose, np.array([7]), np.zeros((1, 2)), np.array([np.pi / 2])
+        Shot(camera, pose, np.array([7]), np.zeros((1, 2)), np.array([np.pi / 2]))
     )  # north: image up
     seen = create_detector(dictionary=DICTIONARY).detect(image)
     assert seen.headings_rad[0] == pytest.approx(-np.pi / 2, abs=0.02)
@@ -223,9 +226,12 @@ def picture(renderer: Renderer, ids: list[int], *, mirrored: bool = False) -> np
     """Up to four markers of 40 px in an image 400 px wide."""
     camera, pose = Camera((400, 400), 400.0, mirrored=mirrored), CameraPose((0.0, 0.0), 10.0, 0.2)
     places = np.array([[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [-2.0, 2.0]])[: len(ids)]
-    return renderer.render(camera, pose, np.array(ids), places, np.array([0.0, 1.0, 2.0, 3.0])[: len(ids)])
+    return renderer.render(
+        Shot(camera, pose, np.array(ids), places, np.array([0.0, 1.0, 2.0, 3.0])[: len(ids)])
+    )
 
 
+@pytest.mark.smoke
 def test_a_mirrored_stream_decodes_nothing_and_that_is_said(renderer) -> None:
     detector = create_detector(dictionary=DICTIONARY)
     image = picture(renderer, [3, 12, 21, 40], mirrored=True)

@@ -28,6 +28,7 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray, fit_squares, to_complex
 from skyherd.markers.dictionary import border_cells, load_dictionary, pose_of_corners
 from skyherd.messages import Detections
+from skyherd.messages.checks import shown
 from skyherd.vision.detectors.accuracy import load_bias
 from skyherd.vision.detectors.corners import detections_of_corners, opencv_corners
 from skyherd.vision.grey import check_grey
@@ -85,6 +86,8 @@ class PeerDetector:
     """
 
     def __init__(self, name: str, dictionary: str, *, corrected: bool = True) -> None:
+        if name not in (known := (*REFINEMENTS, *_OTHERS)):
+            raise InputError("PeerDetector: name", shown(name), f"one of {', '.join(known)}")
         self.name, self.corrected = name, corrected
         self._finder: _Finder = (
             _OpenCV(dictionary, REFINEMENTS[name]) if name in REFINEMENTS else _OTHERS[name](dictionary)
@@ -144,11 +147,11 @@ def headings_in_plane(corners_px: Array) -> Array:
     squares = fit_squares(to_complex(corners_px))
     if len(corners_px) < TILT_MIN_MARKERS:
         return squares.headings_rad()
-    away = (squares.centers - squares.centers.mean()) / np.abs(squares.arms).max()
+    away = (squares.centers - squares.centers.mean()) / np.abs(squares.similarities).max()
     design = squeeze_design_matrix(away)
-    relative = squares.squeezes / squares.arms.conj()
-    squeezes = design @ np.linalg.lstsq(design, relative, rcond=None)[0] * squares.arms.conj()
-    return np.asarray(np.angle(-1j * (squares.arms - squeezes)))
+    relative = squares.anisotropies / squares.similarities.conj()
+    squeezes = design @ np.linalg.lstsq(design, relative, rcond=None)[0] * squares.similarities.conj()
+    return np.asarray(np.angle(-1j * (squares.similarities - squeezes)))
 
 
 def _largest_of_each(ids: IntArray, corners: Array) -> tuple[IntArray, Array]:

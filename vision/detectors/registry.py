@@ -1,11 +1,16 @@
 """The interface that every marker detector has, and the creation of detectors by name.
 
-A detector of one's own enters without a change here: `create_detector("module:factory")` imports it. To give
-one a name of its own, add it to `_DETECTORS`.
+Other detectors need no change here. `create_detector("module:factory")` imports one. A package gives its
+detector a name by an entry point in the group `skyherd.detectors`, whose value is such a factory:
+
+    [project.entry-points."skyherd.detectors"]
+    own = "own_package:Detector"
 """
 
+import logging
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
+from importlib.metadata import EntryPoint, entry_points
 from typing import Protocol, cast
 
 import cv2
@@ -16,6 +21,7 @@ from skyherd.markers.dictionary import with_border
 from skyherd.messages import Detections
 from skyherd.messages.checks import check_flags, check_texts
 from skyherd.plugins import import_factory
+from skyherd.text import one_of
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.deferring import DeferringDetector
@@ -96,9 +102,21 @@ _DETECTORS: dict[str, Callable[[str], Detector]] = {
 """Functions that make a detector for a dictionary, by the detector's name."""
 
 
+ENTRY_POINTS = "skyherd.detectors"
+"""Group of the entry points by which installed packages add detectors."""
+
+_log = logging.getLogger(__name__)
+
+
+@cache
+def _plugins() -> dict[str, EntryPoint]:
+    """Return the detectors of installed packages, by name. Built-in names take precedence."""
+    return {entry.name: entry for entry in entry_points(group=ENTRY_POINTS) if entry.name not in _DETECTORS}
+
+
 def detector_names() -> list[str]:
-    """Return the names that `create_detector` knows, in alphabetical order; `module:factory` comes on top."""
-    return sorted(_DETECTORS)
+    """Return the names that `create_detector` knows, in alphabetical order, beside `module:factory`."""
+    return sorted({*_DETECTORS, *_plugins()})
 
 
 INSTEAD = {"aruco": "photometric, or opencv for that of OpenCV alone"}
@@ -106,13 +124,13 @@ INSTEAD = {"aruco": "photometric, or opencv for that of OpenCV alone"}
 
 
 def check_detector_name(name: str) -> None:
-    """Refuse a name that `create_detector` does not know; what `module:factory` names is not imported.
+    """Refuse a name that `create_detector` does not know, without importing a detector.
 
     Raises:
         InputError: there is no detector of that name.
     """
-    if ":" not in name and name not in _DETECTORS:
-        usual = f"one of {', '.join(detector_names())}, or module:factory"
+    if ":" not in name and name not in _DETECTORS and name not in _plugins():
+        usual = f"{one_of(name, detector_names())}, or module:factory"
         raise InputError("detector", f"no detector {name!r}", INSTEAD.get(name, usual))
 
 
@@ -181,6 +199,10 @@ def _create_plain(name: str, dictionary: str, *, corrected: bool, repeats: bool)
         return PhotometricDetector(dictionary, following=False, repeats=True)
     if ":" in name:
         return _import_detector(name, dictionary)
+    if name not in _DETECTORS:
+        entry = _plugins()[name]
+        _log.info("detector %s is %s of %s", name, entry.value, entry.dist.name if entry.dist else "unknown")
+        return _import_detector(entry.value, dictionary)
     if not corrected and name in peer_names():
         return PeerDetector(name, dictionary, corrected=False)
     return _DETECTORS[name](dictionary)

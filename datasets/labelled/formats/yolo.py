@@ -45,7 +45,7 @@ def folder_yaml(folder: Folder) -> str:
     splits = folder.splits()
     return (
         f"# Keypoints: {', '.join(KEYPOINTS)}.\n"
-        "# Train with fliplr=0 and flipud=0: a marker's mirror image is no marker.\n"
+        "# Train with fliplr=0 and flipud=0: the mirror image of a marker is not a marker.\n"
         f"train: images/{splits[0]}\n"
         f"val: images/{splits[-1]}\n"
         f"kpt_shape: [{len(KEYPOINTS)}, 3]\n"

@@ -16,6 +16,7 @@ from skyherd.bench.detectors.scorer import Scorer
 from skyherd.bench.entrants import EntrantError, dictionary_for, make_entrant
 from skyherd.errors import SkyherdError
 from skyherd.jobs.helpers import one_thread
+from skyherd.jobs.lifetime import start_worker
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.messages import Detections
 from skyherd.vision import Detector
@@ -66,7 +67,7 @@ def measure_cells(
             rows[index] = measure_cell(plan, cell, index)
             progress.update(TASK, len(rows), len(cells))
     else:
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=start_worker) as pool:
             futures = {
                 pool.submit(measure_cell, plan, cell, index): index for index, cell in enumerate(cells)
             }

@@ -22,14 +22,21 @@ from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field
 
 from skyherd.bench.boards.layout import BoardModel
-from skyherd.datasets import Model, first_error, parse_toml, read_toml_text
-from skyherd.errors import InputError
+from skyherd.datasets import (
+    DictionaryName,
+    Model,
+    check_tree,
+    parse_toml,
+    read_toml_text,
+    refuse_other_kind,
+)
+from skyherd.errors import InputError, ProblemCollector
 from skyherd.files.images import SUFFIXES, read_grey
 from skyherd.files.video_reader import VIDEO_SUFFIXES, is_video, open_clip, read_clip
-from skyherd.markers.dictionary import load_dictionary
+from skyherd.text import one_of
 
 SETS_FILE = "photographs.toml"
 """Name of the sets' file in the folder of the images."""
@@ -44,18 +51,14 @@ class ImageSetModel(Model):
     files: Annotated[tuple[str, ...], Field(min_length=1)] = Field(
         description="patterns of file names, from the folder of the images"
     )
-    dictionary: str = Field(description="of the markers, such as APRILTAG_36h11")
+    dictionary: DictionaryName = Field(description="of the markers, such as APRILTAG_36h11")
     border_bits: Annotated[int, Field(ge=1, le=4)] = Field(1, description="cells of the black border")
     inverted: bool = Field(False, description="whether markers are white on black")
     ids_repeat: bool = Field(False, description="whether an image may show several markers of one id")
-    every: Annotated[int, Field(ge=1, le=1_000_000)] = Field(1, description="of videos, use every n-th frame")
+    every: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
+        1, description="of videos, the distance between frames that are taken: 2 is every second one"
+    )
     board: BoardModel | None = Field(None, description="the calibration board that all images show")
-
-    @field_validator("dictionary")
-    @classmethod
-    def _known(cls, name: str) -> str:
-        load_dictionary(name)
-        return name
 
 
 @dataclass(frozen=True)
@@ -118,11 +121,17 @@ def load_image_sets(
         raise InputError(str(folder), "no such folder", f"a folder of images with a {SETS_FILE} in it")
     path = sets_file or folder / SETS_FILE
     tables = parse_toml(read_toml_text(path, "file of image sets"), str(path), EXAMPLE)
+    refuse_other_kind(tables, str(path), "file of image sets")
     if unknown := [name for name in only if name not in tables]:
-        raise InputError(str(path), f"no set {', '.join(unknown)}", f"one of {', '.join(tables)}")
-    sets = []
+        what = f"{path} has no set {', '.join(unknown)}"
+        raise InputError("--only", what, one_of(unknown[0], tables))
+    problems, models = ProblemCollector(), {}
     for name, table in tables.items():
-        model = _parse_set(table, f"{path}: [{name}]")
+        with problems.collecting():
+            models[name] = _parse_set(table, f"{path}: [{name}]")
+    problems.raise_all()
+    sets = []
+    for name, model in models.items():
         files = _find(folder, model.files, f"{path}: [{name}]")
         if files and (not only or name in only):
             sets.append(ImageSet(name, model, files))
@@ -138,11 +147,8 @@ def read_files(image_sets: Sequence[ImageSet], folder: Path, sets_file: Path | N
 
 def _parse_set(table: Any, where: str) -> ImageSetModel:
     if not isinstance(table, dict):
-        raise InputError(where, "no table", "[NAME] with files and dictionary below it")
-    try:
-        model = ImageSetModel.model_validate(table)
-    except ValidationError as error:
-        raise first_error(error, where, "set", see=EXAMPLE) from None
+        raise InputError(where, "is not a table", "[NAME] with files and dictionary below it")
+    model = check_tree(ImageSetModel, table, where, see=EXAMPLE)
     if model.board is not None:
         model.board.check_dictionary(model.dictionary, f"{where}.board")
     return model

@@ -13,12 +13,12 @@ import sys
 from typing import Any, cast
 
 import typer
-from typer.core import TyperGroup
 
 from skyherd.cli.bench import bench_app
 from skyherd.cli.console import complain, printing_input_warnings
 from skyherd.cli.dataset import dataset_app
 from skyherd.cli.detect import detect
+from skyherd.cli.help import HelpCommand, HelpGroup
 from skyherd.cli.interrupts import (
     NOTHING_LEFT,
     Interrupted,
@@ -42,7 +42,11 @@ UsageError: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
 """Root of what Typer raises for wrong arguments: click's, or that of its own copy of click."""
 
 
-class Verbs(TyperGroup):
+SUMMARY = "Steer ground robots into a shape by what uncalibrated flying cameras see."
+"""The first line of the help."""
+
+
+class Verbs(HelpGroup):
     """The verbs, whose interrupts pass: Typer would end the program before anything is said of them."""
 
     def invoke(self, ctx: Any) -> Any:
@@ -54,23 +58,41 @@ class Verbs(TyperGroup):
 app = typer.Typer(
     name="skyherd",
     cls=Verbs,
-    help="Steer a team of ground robots into a shape with nothing but what uncalibrated flying cameras see.",
+    help=SUMMARY,
     rich_markup_mode=None,
 )
-app.command()(run)
-app.command()(report)
-app.command()(topology)
-app.command()(detect)
-app.command()(markers)
-app.command()(track)
-app.command()(study)
-app.command()(unit)
-app.command()(robot)
-app.command()(world)
-app.add_typer(live_app, name="live")
-app.add_typer(scenario_app, name="scenario")
-app.add_typer(bench_app, name="bench")
-app.add_typer(dataset_app, name="dataset")
+SIMULATE, MEASURE, STEER, DATA = "Simulate", "Detect and measure", "Steer real robots", "Data and reports"
+"""Titles in the list of verbs."""
+
+app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(run)
+app.add_typer(scenario_app, name="scenario", cls=HelpGroup, rich_help_panel=SIMULATE)
+app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(topology)
+app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(study)
+app.command(cls=HelpCommand, rich_help_panel=MEASURE)(detect)
+app.command(cls=HelpCommand, rich_help_panel=MEASURE)(track)
+app.command(cls=HelpCommand, rich_help_panel=MEASURE)(markers)
+app.add_typer(bench_app, name="bench", cls=HelpGroup, rich_help_panel=MEASURE)
+app.add_typer(
+    live_app,
+    name="live",
+    cls=HelpGroup,
+    rich_help_panel=STEER,
+    help="Check, run, arm and stop a lab of real cameras and robots.",
+)
+app.command(
+    cls=HelpCommand, rich_help_panel=STEER, short_help="Run the process of one aerial unit of a lab."
+)(unit)
+app.command(cls=HelpCommand, rich_help_panel=STEER, short_help="Run the process of one robot of a lab.")(
+    robot
+)
+app.command(
+    cls=HelpCommand, rich_help_panel=STEER, short_help="Simulate a lab's cameras and robots in real time."
+)(world)
+app.command(cls=HelpCommand, rich_help_panel=DATA)(report)
+app.add_typer(dataset_app, name="dataset", cls=HelpGroup, rich_help_panel=DATA)
+for group in (live_app, scenario_app, bench_app, dataset_app):
+    for registered in group.registered_commands:
+        registered.cls = HelpCommand
 
 
 def _version(show: bool) -> None:
@@ -79,14 +101,13 @@ def _version(show: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(invoke_without_command=True)
+@app.callback(invoke_without_command=True, help=SUMMARY)
 def _options(
     context: typer.Context,
     version: bool = typer.Option(
         False, "--version", callback=_version, is_eager=True, help="Show the version."
     ),
 ) -> None:
-    """Steer a team of ground robots into a shape with nothing but what uncalibrated flying cameras see."""
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
 
@@ -100,7 +121,7 @@ def _check_none_is_empty(arguments: list[str]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit with its code; what a user got wrong is one line on stderr."""
+    """Run the command line and exit with its code; each problem of the input is a line on stderr."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 shows what it lacks escaped
             stream.reconfigure(errors="backslashreplace")
@@ -114,7 +135,8 @@ def main(arguments: list[str] | None = None) -> None:
         complain(f"{cast(Any, error).format_message()}; see `{verb} --help`")
         code = 2
     except SkyherdError as error:
-        complain(str(error))
+        for line in error.lines if isinstance(error, InputError) else [str(error)]:
+            complain(line)
         code = error.exit_code
     except OSError as error:
         complain(f"{error.filename or 'output'}: {error.strerror or error}; nothing after this was written")

@@ -1,4 +1,4 @@
-"""`skyherd bench`: measure detectors on drawings, photographs and boards, and the speed of the loop."""
+"""`skyherd bench`: measure detectors on drawings, photographs and boards."""
 
 import os
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skyherd.cli.choices import complete_dictionary, complete_scenario
+from skyherd.cli.choices import DETECTORS, complete_dictionary
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
 from skyherd.errors import InputError
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from skyherd.bench.set_result import SetResult
     from skyherd.bench.table import Table
 
-bench_app = typer.Typer(help="Measure parts of skyherd, and their peers.", rich_markup_mode=None)
+bench_app = typer.Typer(help="Measure detectors and the speed of the loop.", rich_markup_mode=None)
 
 FULL_FRAMES, FULL_BUDGET_S = 300, 5.0
 QUICK_FRAMES, QUICK_BUDGET_S = 20, 0.4
@@ -25,44 +25,61 @@ MAX_SEED = 2**63
 QUICK_SIZES_PX = ((640, 480), (1280, 960))
 
 
-Force = Annotated[bool, typer.Option("--force", help="Write the results of an earlier call there anew.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace the results of an earlier call.")]
+
+Names = Annotated[
+    str | None,
+    typer.Option(
+        "--detectors",
+        "--detector",
+        metavar="NAMES",
+        help=f"Measure only these, with commas between: {', '.join(DETECTORS)}, or module:factory.",
+    ),
+]
 
 
 @bench_app.callback()
 def _bench() -> None:
-    """Measure parts of skyherd, and their peers."""
+    """Measure detectors and the speed of the loop."""
 
 
 @bench_app.command()
 def detectors(
-    quick: Annotated[bool, typer.Option("--quick", help="Few cells and frames: about a minute.")] = False,
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/bench"),
-    names: Annotated[
-        str | None,
-        typer.Option("--detectors", help="Names, or module:factory, with commas between; all if left out."),
-    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Measure few cells and frames, in about a minute.")
+    ] = False,
+    out_dir: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Write the results into this folder.")
+    ] = Path("runs/bench"),
+    names: Names = None,
     dictionary: Annotated[
         str,
         typer.Option(
-            help="Of the markers; apriltag3 and locus-tag keep to their own if they do not know it.",
+            metavar="NAME",
+            help="Dictionary of the markers. apriltag3 and locus-tag use their own if they do not know it.",
             autocompletion=complete_dictionary,
         ),
     ] = "4X4_50",
-    seed: Annotated[int, typer.Option(help="Seed of every frame.")] = 1,
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of all frames.")] = 1,
     jobs: Annotated[
-        int | None, typer.Option(help="Cells measured at a time; one a core if left out.")
+        int | None, typer.Option(metavar="N", help="Use this many processes instead of one for each core.")
     ] = None,
     clutter_images: Annotated[
-        int | None, typer.Option(help="Images of clutter without a marker, to look for false positives.")
+        int | None,
+        typer.Option(metavar="N", help="Search this many images without a marker for false positives."),
     ] = None,
     uncorrected: Annotated[
-        bool, typer.Option("--uncorrected", help="Leave in the peers' constant biases and corner order.")
+        bool,
+        typer.Option(
+            "--uncorrected",
+            help="Do not correct the constant biases and the corner order of other libraries.",
+        ),
     ] = False,
     force: Force = False,
 ) -> int:
-    """Measure marker detectors on the same frames, against the Cramér–Rao bound.
+    """Compare marker detectors on drawn frames with the Cramér–Rao bound.
 
-    It leaves bench.json, bench.html, bench.md and figures.
+    It writes bench.json, bench.html, bench.md and figures.
     """
     from skyherd.bench.detectors.design import full_design, quick_design
     from skyherd.bench.detectors.page import output_names, write_outputs
@@ -96,78 +113,15 @@ def detectors(
     return 0
 
 
-@bench_app.command()
-def loop(
-    scenarios: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Built-in scenarios or TOML files; star if left out.", autocompletion=complete_scenario
-        ),
-    ] = None,
-    duration_s: Annotated[float, typer.Option("--duration", help="Simulated seconds of each run.")] = 20.0,
-    against: Annotated[
-        str | None,
-        typer.Option(
-            help="Commit, branch or tag of another version, which is run in alternation with this one."
-        ),
-    ] = None,
-    rounds: Annotated[int, typer.Option(help="With --against: runs of each version.")] = 3,
-    whole: Annotated[
-        bool, typer.Option("--whole", help="With --against: also time all of `skyherd run`.")
-    ] = False,
-    repository: Annotated[
-        Path, typer.Option(help="With --against: folder of a git repository of skyherd.")
-    ] = Path(),
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/bench-loop"),
-    force: Force = False,
-) -> int:
-    """Measure how fast the loop is on one core, and how it compares with another version.
-
-    It prints a table and leaves loop.json.
-    """
-    from skyherd.bench.loop_result import RESULT, measure_loop, tables
-    from skyherd.files.output_folder import OutputFolder
-
-    if not 0.5 <= duration_s <= 1e5:
-        raise InputError("--duration", f"{duration_s:g}", "from 0.5 to 100000")
-    if rounds < 1:
-        raise InputError("--rounds", str(rounds), "1 or more")
-    if whole and against is None:
-        raise InputError("--whole", "given without --against", "both or none")
-    with (
-        telling_of_interrupts(NOTHING_LEFT),
-        OutputFolder(out_dir, "bench loop", [RESULT], force=force) as output,
-    ):
-        with ProgressReporter() as progress:
-            result = measure_loop(
-                scenarios or ["star"],
-                duration_s,
-                against=against,
-                repository=repository,
-                rounds=rounds,
-                whole=whole,
-                progress=progress,
-            )
-        result.write(out_dir)
-        output.keep()
-    for table in tables(result):
-        say(table.title, bold=True)
-        say_table(table.header, table.rows, right_aligned=table.header[1:])
-        say(table.note)
-    say(f"see {out_dir / RESULT}")
-    return 0
-
-
-Folder = Annotated[Path, typer.Argument(help="Folder of the photographs.")]
+Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the photographs.")]
 SetsFile = Annotated[
-    Path | None, typer.Option("--sets", help="File of the sets; photographs.toml in the folder if left out.")
-]
-Names = Annotated[
-    str | None,
-    typer.Option("--detector", help="Names, or module:factory, with commas between; all if left out."),
+    Path | None,
+    typer.Option(
+        "--sets", metavar="FILE", show_default="photographs.toml in the folder", help="File of the sets."
+    ),
 ]
 Only = Annotated[
-    str | None, typer.Option("--only", help="Names of sets, with commas between; all if left out.")
+    str | None, typer.Option("--only", metavar="NAMES", help="Measure only these sets, with commas between.")
 ]
 
 
@@ -177,14 +131,16 @@ def photographs(
     sets_file: SetsFile = None,
     names: Names = None,
     only: Only = None,
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/photographs"),
+    out_dir: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Write the results into this folder.")
+    ] = Path("runs/photographs"),
     force: Force = False,
 ) -> int:
-    """Count which markers detectors find on photographs, of those that two of them confirm.
+    """Count which markers detectors find on photographs.
 
-    The file of the sets says which files there are and what their markers are; the guide "Test detectors on
-    photographs" has its keys. It leaves photographs.json, photographs.html, missed.csv, unconfirmed.csv and
-    pictures.
+    A marker counts if two detectors confirm it. The file of the sets names the photographs and their
+    markers. The guide "Test detectors on photographs" has its keys. It writes photographs.json,
+    photographs.html, missed.csv, unconfirmed.csv and pictures.
     """
     from skyherd.bench.image_sets import load_image_sets, read_files
     from skyherd.bench.photographs.measurement import measure_photographs
@@ -217,12 +173,15 @@ def boards(
     sets_file: SetsFile = None,
     names: Names = None,
     only: Only = None,
-    out_dir: Annotated[Path, typer.Option("--out", help="Folder for results.")] = Path("runs/boards"),
+    out_dir: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Write the results into this folder.")
+    ] = Path("runs/boards"),
     force: Force = False,
 ) -> int:
-    """Measure detectors on photographs of calibration boards, leaving one marker out at a time.
+    """Measure the accuracy of detectors on photographs of boards.
 
-    Sets need a table `board`, as the guide "Measure accuracy on boards" has it. It leaves boards.json,
+    Each marker is predicted from the others of its calibration board. Sets need a table `board`, which the
+    guide "Measure accuracy on boards" describes. It writes boards.json,
     boards.html, boards.md and figures.
     """
     from skyherd.bench.boards.measurement import measure_boards
@@ -266,7 +225,7 @@ def _chosen_and_judges(names: str | None) -> tuple[list[str], list[str]]:
 
 
 def _say_result(result: "SetResult", tables: "list[Table]") -> None:
-    """Print the tables of the sets, and which sets nobody can read."""
+    """Print the tables of the sets, and the sets that no detector can read."""
     for table in tables:
         say(table.title, bold=True)
         say_table(table.header, table.rows, right_aligned=table.header[1:])

@@ -19,6 +19,21 @@ DETECTORS = (
 )
 """Names of the detectors, as `skyherd.vision.detector_names` gives them."""
 
+DICTIONARIES = (
+    *(f"{bits}_{size}" for bits in ("4X4", "5X5", "6X6", "7X7") for size in (50, 100, 250, 1000)),
+    "5X5_1900",
+    "6X6_1900",
+    "6X6_7900",
+    "7X7_8000",
+    "ARUCO_ORIGINAL",
+    "ARUCO_MIP_36h12",
+    "APRILTAG_16h5",
+    "APRILTAG_25h9",
+    "APRILTAG_36h10",
+    "APRILTAG_36h11",
+)
+"""Names of the marker dictionaries, as `skyherd.markers.dictionary` gives them."""
+
 PAPERS = ("A5", "A4", "A3", "A2", "A1", "A0", "Letter", "Legal", "Tabloid")
 """Names of the papers that sheets of markers are made for."""
 
@@ -51,9 +66,7 @@ def complete_format(incomplete: str) -> list[str]:
 
 def complete_dictionary(incomplete: str) -> list[str]:
     """Marker dictionaries whose names begin with what has been typed."""
-    from skyherd.markers.dictionary import dictionary_names
-
-    return _begin(dictionary_names(), incomplete)
+    return _begin(DICTIONARIES, incomplete)
 
 
 def complete_scenario(incomplete: str) -> list[str]:

@@ -22,16 +22,28 @@ dataset_app = typer.Typer(help="Make labelled image sets, and check them.", rich
 def make(
     spec: Annotated[
         str,
-        typer.Argument(metavar="SPEC", help="A TOML file or a built-in spec.", autocompletion=complete_spec),
+        typer.Argument(metavar="SPEC", help="A built-in spec or a TOML file.", autocompletion=complete_spec),
     ],
-    out_dir: Annotated[Path | None, typer.Option("--out", help="Folder; labelled/NAME if left out.")] = None,
-    jobs: Annotated[int | None, typer.Option(help="Processes; one a core if left out.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Put over the spec's.")] = None,
-    images: Annotated[int | None, typer.Option(help="Number of images, put over the spec's.")] = None,
+    out_dir: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", show_default="labelled/NAME", help="Write the set into this folder."
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(metavar="N", help="Use this many processes instead of one for each core.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Replace the spec's seed of all random draws.")
+    ] = None,
+    images: Annotated[
+        int | None, typer.Option(metavar="N", help="Replace the spec's number of images.")
+    ] = None,
 ) -> int:
-    """Make a labelled image set, or go on with one that was interrupted.
+    """Make a labelled image set from a spec.
 
-    It leaves COCO and YOLO-pose labels, tables with all digits, and a preview.
+    The same command continues a set that was interrupted. It writes COCO and YOLO-pose labels, tables of the
+    exact truth, and a preview.
     """
     from skyherd.datasets.labelled.make import make_dataset
     from skyherd.datasets.labelled.spec import load_spec
@@ -41,7 +53,7 @@ def make(
     file = load_spec(spec, seed=seed, images=images)
     folder = out_dir or Path("labelled") / Path(spec).stem
     with (
-        telling_of_interrupts("images that are there are whole, and the same command goes on from here"),
+        telling_of_interrupts("finished images are kept, and the same command continues from here"),
         ProgressReporter() as progress,
     ):
         dataset = make_dataset(file, folder, jobs=jobs or os.cpu_count() or 1, progress=progress)
@@ -51,17 +63,24 @@ def make(
 
 @dataset_app.command()
 def check(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="What `make` left.")],
-    sample: Annotated[int, typer.Option(help="Images drawn again, and looked at by the detector.")] = 24,
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="The folder of a set that `skyherd dataset make` made.")
+    ],
+    sample: Annotated[
+        int,
+        typer.Option(metavar="N", help="Draw this many images again, and run the detector on them."),
+    ] = 24,
 ) -> int:
     """Check a labelled image set against its truth and its seed.
 
-    Exit code 0 if all is well, 1 for problems, a line each, 2 if it is no data set.
+    Exit code 0 if there is no problem, 1 for problems, which have a line each, 2 if it is not a data set.
     """
+    from skyherd.datasets import refuse_configuration
     from skyherd.datasets.labelled.check import check_dataset
 
     if sample < 0:
         raise InputError("--sample", str(sample), "0 or more")
+    refuse_configuration(folder, "data set")
     verdict = check_dataset(folder, sample=sample)
     for problem in verdict.problems:
         complain(problem)
@@ -83,9 +102,11 @@ def list_specs() -> None:
 
 @dataset_app.command()
 def show(
-    name: Annotated[str, typer.Argument(help="A built-in spec.", autocompletion=complete_spec)],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="A built-in spec.", autocompletion=complete_spec)
+    ],
 ) -> None:
-    """Print a built-in spec, to be saved and changed."""
+    """Print a built-in spec, to save and change."""
     from skyherd.datasets.labelled.spec import spec_text
 
     typer.echo(spec_text(name), nl=False)

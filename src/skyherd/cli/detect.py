@@ -6,15 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skyherd.cli.choices import (
-    DETECTORS,
-    TABLE_FORMATS,
-    complete_detector,
-    complete_dictionary,
-    complete_format,
-)
+from skyherd.cli.choices import TABLE_FORMATS, complete_dictionary, complete_format
 from skyherd.cli.console import ProgressReporter, complain, say, say_table, warn
-from skyherd.cli.interrupts import telling_of_interrupts
+from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
+from skyherd.cli.options import BorderBits, Detector, ForceFolder, Inverted
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,42 +23,52 @@ SHOWN_REJECTIONS = 20
 
 
 def detect(
-    target: Annotated[Path, typer.Argument(metavar="IMAGE|DIR|VIDEO", help="What to look at.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="IMAGE|DIR|VIDEO", help="A picture, a folder, or a video.")
+    ],
     dictionary: Annotated[
         str,
         typer.Option(
-            help="Marker dictionary, such as APRILTAG_36h11; auto finds each file's own.",
+            metavar="NAME",
+            help="Dictionary of the markers, such as APRILTAG_36h11 or DICT_4X4_50; auto finds that of each "
+            "file. `skyherd markers --help` lists them.",
             autocompletion=complete_dictionary,
         ),
     ] = "4X4_50",
-    detector: Annotated[
-        str, typer.Option(help=f"One of {', '.join(DETECTORS)}.", autocompletion=complete_detector)
-    ] = "photometric",
+    detector: Detector = "photometric",
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder to make; detections/NAME if left out.")
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            show_default="detections/NAME",
+            help="Write the results into this new folder.",
+        ),
     ] = None,
     kind: Annotated[
         str,
         typer.Option(
-            "--format", help=f"Of the table: {' or '.join(TABLE_FORMATS)}.", autocompletion=complete_format
+            "--format",
+            metavar="FORMAT",
+            help=f"Format of the table: {' or '.join(TABLE_FORMATS)}.",
+            autocompletion=complete_format,
         ),
     ] = "csv",
-    border_bits: Annotated[
-        int, typer.Option("--border-bits", min=1, max=3, help="Cells of the markers' black border.")
-    ] = 1,
-    inverted: Annotated[bool, typer.Option("--inverted", help="Markers are white on black.")] = False,
+    border_bits: BorderBits = 1,
+    inverted: Inverted = False,
     repeats: Annotated[
-        bool, typer.Option("--repeats", help="Report ids that are found twice, at each place.")
+        bool, typer.Option("--repeats", help="Report an id that is found twice at each of its places.")
     ] = False,
     explained: Annotated[
-        bool, typer.Option("--explain", help="Say for every rejected candidate why, and what would help.")
+        bool,
+        typer.Option("--explain", help="Explain why each candidate was rejected, and what would help."),
     ] = False,
     require: Annotated[
-        bool, typer.Option("--require", help="Exit code 1 if there is a file without any marker.")
+        bool, typer.Option("--require", help="Exit with code 1 if a file shows no marker.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write into an existing folder.")] = False,
+    force: ForceFolder = False,
 ) -> int:
-    """Find markers in pictures and videos, and say why others were not found.
+    """Find markers in pictures and videos; explain what is missed.
 
     Exit code 0 when done, 1 with --require if a file has none, 2 for bad input.
     """
@@ -71,6 +76,10 @@ def detect(
 
     if kind not in TABLE_FORMATS:
         raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(TABLE_FORMATS)}")
+    if target.suffix in (".toml", ".mcap"):
+        from skyherd.datasets import refuse_configuration
+
+        refuse_configuration(target, "picture or video")
     folder = out_dir or Path("detections") / output_name(Path(os.path.abspath(target)).stem)
     with ProgressReporter() as progress:
         inspector = Inspector(
@@ -83,7 +92,7 @@ def detect(
             kind="jsonl" if kind == "jsonl" else "csv",
             progress=progress,
         )
-        with telling_of_interrupts("nothing is left of it"):
+        with telling_of_interrupts(NOTHING_LEFT):
             results = inspector.inspect(target, folder, force=force)
     _say_results(results)
     if dictionary == AUTO:

@@ -18,19 +18,24 @@ if TYPE_CHECKING:
 
 live_app = typer.Typer(help="Real cameras and robots: check, run, arm and stop a lab.", rich_markup_mode=None)
 
-LabFile = Annotated[str, typer.Argument(help="A lab.toml, or the name of an example.")]
+LabFile = Annotated[str, typer.Argument(metavar="LAB", help="A built-in lab or a TOML file.")]
 Insecure = Annotated[
     bool,
-    typer.Option("--insecure", help="Allow a radio beyond this machine without TLS: anybody can drive."),
+    typer.Option(
+        "--insecure", help="Allow a radio beyond this machine without TLS. Anyone on the network can drive."
+    ),
 ]
 Settings = Annotated[
-    list[str] | None, typer.Option("--set", help="key=value put over the lab, such as control.k=0.2.")
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Replace a value of the lab, such as control.k=0.2."),
 ]
 
 
 @live_app.command()
 def show(
-    name: Annotated[str | None, typer.Argument(help="An example; all are listed if left out.")] = None,
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="A built-in lab. Without it, all are listed.")
+    ] = None,
 ) -> None:
     """Print an example of a lab file, to be saved and changed."""
     from skyherd.live.lab import lab_names, lab_text
@@ -50,7 +55,7 @@ def schema() -> None:
 def check(
     lab_file: LabFile,
     no_cameras: Annotated[
-        bool, typer.Option("--no-cameras", help="Check the file alone, and open no camera.")
+        bool, typer.Option("--no-cameras", help="Check only the file. Do not open the cameras.")
     ] = False,
     settings: Settings = None,
 ) -> int:
@@ -100,18 +105,23 @@ def _check_camera(lab: "Lab", unit: int, address: str) -> bool:
 def run(
     lab_file: LabFile,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder to make; runs/TEAM-TIME if left out.")
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", show_default="runs/TEAM-TIME", help="Record into this new folder."
+        ),
     ] = None,
     cameras: Annotated[
-        str | None, typer.Option(help="Addresses in place of the lab's cameras, with commas between.")
+        str | None, typer.Option(metavar="ADDRESSES", help="Use these cameras instead, with commas between.")
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print commands in place of sending them.")
+        bool, typer.Option("--dry-run", help="Print the commands instead of sending them.")
     ] = False,
     armed: Annotated[
-        bool, typer.Option("--arm", help="Arm the robots as soon as all of them are there.")
+        bool, typer.Option("--arm", help="Arm the robots as soon as all are connected.")
     ] = False,
-    duration_s: Annotated[float | None, typer.Option("--duration", help="End after so many seconds.")] = None,
+    duration_s: Annotated[
+        float | None, typer.Option("--duration", metavar="SECONDS", help="End after this time.")
+    ] = None,
     settings: Settings = None,
     insecure: Insecure = False,
 ) -> int:
@@ -176,7 +186,9 @@ def _report(word: str, outcome: "Outcome") -> int:
 
 @live_app.command()
 def replay(
-    folder: Annotated[Path, typer.Argument(help="A folder of `skyherd live run`, or one of its files.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR|FILE", help="A folder of `skyherd live run`, or a file of it.")
+    ],
 ) -> int:
     """Decide anew from what each process recorded, and compare bit for bit; exit code 1 if they differ."""
     from skyherd.errors import InputError

@@ -17,9 +17,11 @@ from skyherd.cli.live import Insecure, LabFile, Settings, joined_team
 if TYPE_CHECKING:
     from skyherd.live.process_context import ProcessContext
 
-Out = Annotated[Path, typer.Option("--out", help="Folder to record in.")]
-Supervised = Annotated[bool, typer.Option("--supervised", help="End when standard input does.")]
-Offset = Annotated[float, typer.Option("--clock-offset", help="s; a clock that is off by this, for tests.")]
+Out = Annotated[Path, typer.Option("--out", metavar="DIR", help="Record into this folder.")]
+Supervised = Annotated[bool, typer.Option("--supervised", help="End when the standard input ends.")]
+Offset = Annotated[
+    float, typer.Option("--clock-offset", metavar="SECONDS", help="Shift the clock, for tests.")
+]
 
 
 def _read_to_end(request: EndRequest) -> None:
@@ -61,10 +63,12 @@ def _process(
 
 def unit(
     lab_file: LabFile,
-    number: Annotated[int, typer.Argument(help="Which unit: 0, 1, …")],
+    number: Annotated[int, typer.Argument(metavar="UNIT", help="Number of the unit: 0, 1, …")],
     out_dir: Out = Path("runs/live"),
-    camera: Annotated[str | None, typer.Option(help="Address in place of the lab's camera.")] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Send no flight commands.")] = False,
+    camera: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Use this camera instead of the lab's.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Do not send flight commands.")] = False,
     settings: Settings = None,
     insecure: Insecure = False,
     supervised: Supervised = False,
@@ -81,9 +85,11 @@ def unit(
 
 def robot(
     lab_file: LabFile,
-    marker: Annotated[int, typer.Argument(help="Which robot: its marker.")],
+    marker: Annotated[int, typer.Argument(metavar="ROBOT", help="Marker of the robot.")],
     out_dir: Out = Path("runs/live"),
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print commands, and send none.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the commands instead of sending them.")
+    ] = False,
     settings: Settings = None,
     insecure: Insecure = False,
     supervised: Supervised = False,
@@ -99,18 +105,28 @@ def robot(
 
 
 def world(
-    scenario: Annotated[str, typer.Argument(help="A built-in scenario or a TOML file.")],
+    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A built-in scenario or a TOML file.")],
     lab_file: Annotated[
-        str | None, typer.Option("--lab", help="Whose radio and team; the example of the scenario's name.")
+        str | None,
+        typer.Option(
+            "--lab",
+            metavar="LAB",
+            show_default="the lab named as the scenario",
+            help="Use the radio and the team of this lab.",
+        ),
     ] = None,
     speed: Annotated[
-        float, typer.Option(min=0.01, max=10, help="Seconds of the scenario a second of real time.")
+        float, typer.Option(metavar="FACTOR", min=0.01, max=10, help="Simulated time over real time.")
     ] = 1.0,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", help="key=value put over the scenario.")
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Replace a value of the scenario.")
     ] = None,
-    record: Annotated[Path | None, typer.Option(help="MCAP file to record the truth in.")] = None,
-    port: Annotated[int, typer.Option(min=1, max=65000, help="TCP port of the first camera.")] = 7461,
+    record: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Record the truth into this MCAP file.")
+    ] = None,
+    port: Annotated[
+        int, typer.Option(metavar="N", min=1, max=65000, help="TCP port of the first camera.")
+    ] = 7461,
     insecure: Insecure = False,
 ) -> int:
     """Run the world of a scenario in real time: streams of its cameras out, wheel commands in."""

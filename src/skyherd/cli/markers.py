@@ -5,30 +5,40 @@ from typing import Annotated
 
 import typer
 
-from skyherd.cli.choices import PAPERS, complete_dictionary, complete_paper
+from skyherd.cli.choices import DICTIONARIES, PAPERS, complete_dictionary, complete_paper
 from skyherd.cli.console import say
+from skyherd.cli.options import BorderBits, ForceFile
 from skyherd.errors import InputError
 
 
 def markers(
-    ids: Annotated[str, typer.Option(help="Ids and ranges, such as 0-15,20.")],
-    side: Annotated[str, typer.Option(help="Side of the black square, such as 0.12m, 12cm or 120mm.")],
-    out_file: Annotated[Path, typer.Option("--out", help="PDF to write.")],
+    ids: Annotated[str, typer.Option(metavar="IDS", help="Ids and ranges of ids, such as 0-15,20.")],
+    side: Annotated[
+        str,
+        typer.Option(metavar="LENGTH", help="Side of the black square, such as 0.12m, 12cm or 120mm."),
+    ],
+    out_file: Annotated[Path, typer.Option("--out", metavar="FILE", help="PDF file to write.")],
     paper: Annotated[
-        str, typer.Option(help=f"One of {', '.join(PAPERS)}.", autocompletion=complete_paper)
+        str,
+        typer.Option(metavar="NAME", help=f"Paper: {', '.join(PAPERS)}.", autocompletion=complete_paper),
     ] = "A4",
     dictionary: Annotated[
         str,
-        typer.Option(help="Marker dictionary, such as APRILTAG_36h11.", autocompletion=complete_dictionary),
+        typer.Option(
+            metavar="NAME",
+            help=f"Dictionary of the markers: {', '.join(DICTIONARIES)}. OpenCV's names, such as "
+            "DICT_4X4_50, are accepted, too.",
+            autocompletion=complete_dictionary,
+        ),
     ] = "4X4_50",
-    border_bits: Annotated[
-        int, typer.Option("--border-bits", min=1, max=3, help="Cells of the markers' black border.")
-    ] = 1,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write a file of sheets that is there anew.")
-    ] = False,
+    border_bits: BorderBits = 1,
+    force: ForceFile = False,
 ) -> int:
-    """Print markers at true size, with quiet zone, id, forward arrow, cut marks and a ruler."""
+    """Make printable sheets of markers at true size.
+
+    Each marker has its quiet zone, id, forward arrow and cut marks. Each sheet has a ruler to check the
+    scale.
+    """
     from skyherd.files.output_file import OutputFile
     from skyherd.markers.dictionary import load_dictionary, with_border
     from skyherd.markers.sheet_layout import PAPERS_MM, parse_ids, parse_length_mm
@@ -37,7 +47,7 @@ def markers(
     dictionary = with_border(dictionary, border_bits)
     load_dictionary(dictionary)
     if out_file.suffix.lower() != ".pdf":
-        raise InputError("--out", f"{str(out_file)!r} is no PDF", "a name that ends in .pdf")
+        raise InputError("--out", f"{str(out_file)!r} is not a PDF", "a name that ends in .pdf")
     output = OutputFile(out_file, "markers", force=force)
     output.check()
     wanted = parse_ids(ids, dictionary)

@@ -12,13 +12,15 @@ from skyherd.errors import InputError
 
 def report(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Output folder of `skyherd run` or `skyherd live run`.")
+        Path, typer.Argument(metavar="DIR", help="A folder of `skyherd run` or `skyherd live run`.")
     ],
 ) -> int:
-    """Make figures, summary and page again from a run's recording, or of a live run from its processes'.
+    """Make figures, summary and page again from a recorded run.
 
-    The video of a simulated run is made again too if the recording has images.
+    A simulated run has one recording, a live run one for each process. The video of a simulated run is made
+    again, too, if the recording has images.
     """
+    from skyherd.datasets import refuse_configuration
     from skyherd.files.output_folder import is_directory
     from skyherd.jobs.helpers import cores
     from skyherd.live.review import make_live_report, recorded_files
@@ -28,6 +30,11 @@ def report(
     is_simulated = os.path.lexists(folder / RECORDING)
     allowed = "the output folder of `skyherd run` or `skyherd live run`"
     if not is_directory(folder):
+        if folder.name == RECORDING and is_directory(folder.parent):
+            raise InputError(
+                str(folder), "is a recording", f"give its folder: `skyherd report {folder.parent}`"
+            )
+        refuse_configuration(folder, "run")
         what = "is a file" if os.path.lexists(folder) else "no such folder"
         raise InputError(str(folder), what, allowed)
     if not is_simulated and not recorded_files(folder):
@@ -36,6 +43,6 @@ def report(
     summary = make_report(folder, jobs=cores()) if is_simulated else make_live_report(folder)
     if "recording" in summary:
         where = folder / RECORDING if is_simulated else folder
-        warn(f"{where}: {summary['recording']}; the report is of what can be read")
+        warn(f"{where}: {summary['recording']}; the report shows the readable part")
     say(f"see {folder / PAGE}")
     return 0

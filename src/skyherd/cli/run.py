@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skyherd.cli.choices import complete_perception, complete_scenario
+from skyherd.cli.choices import PERCEPTIONS, complete_perception, complete_scenario
 from skyherd.cli.console import ProgressReporter, say, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
+from skyherd.cli.options import ForceFolder, ScenarioSettings
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,33 +18,41 @@ if TYPE_CHECKING:
 
 def run(
     scenario: Annotated[
-        str, typer.Argument(help="A built-in scenario or a TOML file.", autocompletion=complete_scenario)
+        str,
+        typer.Argument(
+            metavar="SCENARIO", help="A built-in scenario or a TOML file.", autocompletion=complete_scenario
+        ),
     ],
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder to make; runs/NAME if left out.")
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", show_default="runs/NAME", help="Write the results into this new folder."
+        ),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of every random draw.")] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="key=value put over the scenario, such as control.k=0.2."),
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Replace the scenario's seed of all random draws.")
     ] = None,
+    settings: ScenarioSettings = None,
     perception: Annotated[
         str | None,
         typer.Option(
-            help="rendered, ideal, or noisy: ideal with the detector's measured noise.",
+            metavar="KIND",
+            help="How markers are detected: rendered (in drawn images), ideal (exactly), or noisy (exactly, "
+            "with the detector's measured noise).",
             autocompletion=complete_perception,
         ),
     ] = None,
-    no_video: Annotated[bool, typer.Option("--no-video", help="Make no video.")] = False,
+    no_video: Annotated[bool, typer.Option("--no-video", help="Do not make a video.")] = False,
     record_images: Annotated[
         bool, typer.Option("--record-images", help="Keep the cameras' images in the recording, as JPEG.")
     ] = False,
     jobs: Annotated[
-        int | None, typer.Option(help="Cores to use; all if left out. Results are the same.")
+        int | None,
+        typer.Option(metavar="N", help="Use this many cores instead of all. Results are the same."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write an existing folder anew.")] = False,
+    force: ForceFolder = False,
 ) -> int:
-    """Run a scenario, and leave recording, video, figures, summary and page.
+    """Run a scenario; write its recording, video, figures and page.
 
     Exit code 0 if the shape was reached, 1 if not, 2 for bad input.
     """
@@ -53,6 +62,8 @@ def run(
 
     if jobs is not None and jobs < 1:
         raise InputError("--jobs", str(jobs), "1 or more")
+    if perception is not None and perception not in PERCEPTIONS:
+        raise InputError("--perception", f"{perception!r}", f"one of {', '.join(PERCEPTIONS)}")
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
     mission = load_mission(scenario, chosen, seed=seed)
     folder = out_dir or Path("runs") / mission.scenario.name
@@ -82,14 +93,14 @@ def _what_is_left(folder: Path) -> str:
 
     if not (folder / RECORDING).exists():
         return NOTHING_LEFT
-    return f"what was recorded can be seen with `skyherd report {folder}`"
+    return f"the recorded part can be shown by `skyherd report {folder}`"
 
 
 def _warn_of_slow_cameras(mission: "Mission") -> None:
     """Warn of units between whose images the robots forget their goals."""
     for unit, model in enumerate(mission.scenario.units):
         if mission.scenario.robots.timeout_s * model.frame_rate_hz < 1:
-            warn(f"unit {unit} takes an image less often than robots.timeout_s: its robots stop and go")
+            warn(f"unit {unit} takes images less often than robots.timeout_s: its robots stop and go")
 
 
 def _warn_of_the_radio(mission: "Mission") -> None:
@@ -104,13 +115,13 @@ def _warn_of_the_radio(mission: "Mission") -> None:
     if len(parts) > 1:
         units = " | ".join(", ".join(map(str, part)) for part in parts)
         warn(
-            f"units {units} cannot hear of each other at the start (network.range_m = "
-            f"{scenario.network.range_m:g}): each part makes a tree of its own, until they come nearer"
+            f"units {units} cannot reach each other at the start (network.range_m = "
+            f"{scenario.network.range_m:g}): each part forms its own tree until they are in range"
         )
     elif not scenario.network.relay and any(len(others) < len(in_range) for others in in_range):
         warn(
-            "not every unit hears every other one, and network.relay is false: a unit that is not heard of "
-            "counts as dead, so that TC1-TC5 are left"
+            "not every unit is in range of every other one, and network.relay is false: units out of range "
+            "count as dead, and TC1-TC5 do not hold"
         )
 
 

@@ -7,6 +7,7 @@ import typer
 
 from skyherd.cli.choices import complete_scenario
 from skyherd.cli.console import say, say_table
+from skyherd.cli.options import ScenarioSettings
 
 scenario_app = typer.Typer(help="List, show and check scenarios.", rich_markup_mode=None)
 
@@ -28,9 +29,11 @@ def list_scenarios() -> None:
 
 @scenario_app.command()
 def show(
-    name: Annotated[str, typer.Argument(help="A built-in scenario.", autocompletion=complete_scenario)],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="A built-in scenario.", autocompletion=complete_scenario)
+    ],
 ) -> None:
-    """Print a built-in scenario, to be saved and changed."""
+    """Print a built-in scenario, to save and change."""
     from skyherd.datasets import scenario_text
 
     typer.echo(scenario_text(name), nl=False)
@@ -39,9 +42,12 @@ def show(
 @scenario_app.command()
 def check(
     file: Annotated[
-        str, typer.Argument(help="A TOML file or a built-in scenario.", autocompletion=complete_scenario)
+        str,
+        typer.Argument(
+            metavar="SCENARIO", help="A built-in scenario or a TOML file.", autocompletion=complete_scenario
+        ),
     ],
-    settings: Annotated[list[str] | None, typer.Option("--set", help="key=value put over it.")] = None,
+    settings: ScenarioSettings = None,
 ) -> None:
     """Check a scenario without running it."""
     from skyherd.datasets import load_mission

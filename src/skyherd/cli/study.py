@@ -24,26 +24,37 @@ def study(
         str | None,
         typer.Argument(
             metavar="NAME|FILE",
-            help="A built-in study or a TOML file; all listed if left out.",
+            help="A built-in study or a TOML file. Without it, all built-in studies are listed.",
             autocompletion=complete_study,
         ),
     ] = None,
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder, new or of a study; studies/NAME if left out.")
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            show_default="studies/NAME",
+            help="Write the results into this folder, which is new or of the same study.",
+        ),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Few runs: what the study says of `quick`.")] = False,
-    jobs: Annotated[int | None, typer.Option(help="Local processes; one a core if left out.")] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Of a Dask cluster to run on instead.")
-    ] = None,
-    retry: Annotated[bool, typer.Option("--retry", help="Make failed runs again.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs, and make none.")] = False,
-    show: Annotated[
-        bool, typer.Option("--show", help="Print a built-in study, to be saved and changed.")
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Make few runs, as the table quick of the study says.")
     ] = False,
+    jobs: Annotated[
+        int | None, typer.Option(metavar="N", help="Use this many processes instead of one for each core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="tcp://HOST:PORT", help="Run on the Dask cluster of this scheduler."),
+    ] = None,
+    retry: Annotated[bool, typer.Option("--retry", help="Repeat the runs that failed.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="List the runs without making them.")] = False,
+    show: Annotated[bool, typer.Option("--show", help="Print a built-in study, to save and change.")] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of study files.")] = False,
 ) -> int:
-    """Run a study, or go on with one that was interrupted.
+    """Run a scenario many times; collect the outcomes in a table.
+
+    The same command continues a study that was interrupted.
 
     Exit code 0 if all went well, 1 if a run failed, 2 for bad input.
     """
@@ -61,7 +72,9 @@ def study(
     if jobs is not None and jobs < 1:
         raise InputError("--jobs", str(jobs), "1 or more")
     if jobs is not None and scheduler is not None:
-        raise InputError("--jobs", "given with --scheduler", "one of them: a cluster has the workers it has")
+        raise InputError(
+            "--jobs", "given with --scheduler", "one of them: a cluster has its own number of workers"
+        )
     _require_extra()
     checked = load_study(name, quick=quick)
     folder = out_dir or Path("studies") / (f"{checked.name}-quick" if quick else checked.name)
@@ -108,14 +121,12 @@ def _conduct(plan: "Plan", folder: Path, scheduler: str | None, jobs: int | None
     from skyherd.study.conduct import conduct, runs_per_s
 
     with (
-        telling_of_interrupts("runs that are done are kept, and the same command goes on from here"),
+        telling_of_interrupts("finished runs are kept, and the same command continues from here"),
         ProgressReporter() as progress,
     ):
         report = conduct(plan, folder, progress, scheduler=scheduler, jobs=jobs, retry=retry)
     failed = (
-        f", {report.failed} failed: see {folder / 'table.md'}; --retry makes them again"
-        if report.failed
-        else ""
+        f", {report.failed} failed: see {folder / 'table.md'}; --retry repeats them" if report.failed else ""
     )
     made = (
         f", {report.made} made at {runs_per_s(report.made, report.elapsed_s):.3g} a second"

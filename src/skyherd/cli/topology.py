@@ -8,6 +8,7 @@ import typer
 
 from skyherd.cli.choices import complete_scenario
 from skyherd.cli.console import say, say_table, warn
+from skyherd.cli.options import ForceFile
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -35,19 +36,24 @@ def topology(
         str,
         typer.Argument(
             metavar="FILE|RUN",
-            help="A scenario, a run's folder, or its run.mcap.",
+            help="A scenario, or a run: its folder or its run.mcap.",
             autocompletion=complete_scenario,
         ),
     ],
     picture: Annotated[
         Path | None,
-        typer.Option("--out", help="PNG or SVG; topology.png in the run's folder, or NAME-topology.png."),
+        typer.Option(
+            "--out",
+            metavar="FILE",
+            show_default="topology.png in the run's folder, NAME-topology.png for a scenario",
+            help="Write the picture into this file, as PNG or SVG.",
+        ),
     ] = None,
-    force: Annotated[
-        bool, typer.Option("--force", help="Write a picture anew that is where --out says.")
-    ] = False,
+    force: ForceFile = False,
 ) -> int:
-    """Show who controls whom: of a scenario after deployment, of a run at its end.
+    """Show which unit controls which robots, and check TC1-TC5.
+
+    A scenario is judged after deployment, a run at its end.
 
     Exit code 0 if TC1-TC5 hold, 1 if one is violated, 2 for bad input.
     """
@@ -57,7 +63,7 @@ def topology(
     if picture is not None:
         if picture.suffix not in PICTURES:
             allowed = f"a name that ends in {' or '.join(PICTURES)}"
-            raise InputError(str(picture), "no kind of picture", allowed)
+            raise InputError(str(picture), "is not a picture", allowed)
         OutputFile(picture, "topology", force=force).check()
     history, default, is_run = _open(source)
     path = picture or default
@@ -109,7 +115,7 @@ def _deploy(mission: "Mission") -> "History":
         trees = [frame.decision.report.tree for frame in step.frames.values()]
         if any(tree is None or tree.ready for tree in trees):
             return make_history(mission, steps)
-    warn(f"the tree of units was not complete after {step.time_s:g} s; this is how far it came")
+    warn(f"the tree of units was not complete after {step.time_s:g} s; its last state is shown")
     return make_history(mission, steps)
 
 
@@ -146,7 +152,7 @@ def _say_graph(report: "TopologyReport", history: "History") -> None:
             for (j, k), common in report.shared.items()
             if unit in (j, k)
         ]
-        rows.append((str(unit), str(robots.size), "   ".join(bonds) or "nobody"))
+        rows.append((str(unit), str(robots.size), "   ".join(bonds) or "none"))
     say_table(("unit", "robots", "shares with"), rows)
 
 
@@ -199,7 +205,7 @@ def _say_measured(history: "History", stretch: slice) -> None:
     below = np.flatnonzero(errors < REACHED_ERROR)
     took = f"{times_s[below[0]] - times_s[0]:.1f} s" if below.size else "not"
     measured = measured_rate_ps(times_s, errors)
-    rate = "too few steps to tell" if measured is None else f"{measured:.4g} /s"
+    rate = "too few steps" if measured is None else f"{measured:.4g} /s"
     say(f"measured:  rate {rate}; 1 % was reached {took} after {times_s[0]:.1f} s")
 
 

@@ -6,58 +6,69 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skyherd.cli.choices import DETECTORS, complete_detector, complete_dictionary
+from skyherd.cli.choices import complete_scenario
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
-from skyherd.cli.interrupts import telling_of_interrupts
+from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
+from skyherd.cli.options import BorderBits, Detector, Dictionary, ForceFolder, Inverted
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
-    from skyherd.live.tracking import GroundTracks
+    from skyherd.tracking import GroundTracks
 
 
 def track(
-    videos: Annotated[list[Path], typer.Argument(metavar="VIDEO...", help="Recordings from above.")],
+    videos: Annotated[list[Path], typer.Argument(metavar="VIDEO", help="Videos from above.")],
     shape: Annotated[
         str | None,
-        typer.Option(help="Shape to compare with, such as circle or word:SKY."),
+        typer.Option(
+            metavar="SHAPE",
+            help="Compare with this shape: circle, grid, line, star, triangle, or a word such as word:SKY.",
+        ),
     ] = None,
     scenario: Annotated[
-        str | None, typer.Option(help="Scenario, or its file, whose shape and robots to compare with.")
+        str | None,
+        typer.Option(
+            metavar="SCENARIO",
+            help="Compare with the shape and the robots of this scenario.",
+            autocompletion=complete_scenario,
+        ),
     ] = None,
     ids: Annotated[
-        str | None, typer.Option(help="The robots' markers, such as 0-15,20; all that are seen if left out.")
+        str | None,
+        typer.Option(metavar="IDS", help="Follow only these markers, such as 0-15,20."),
     ] = None,
-    dictionary: Annotated[
-        str,
-        typer.Option(help="Marker dictionary, such as APRILTAG_36h11.", autocompletion=complete_dictionary),
-    ] = "4X4_50",
-    detector: Annotated[
-        str, typer.Option(help=f"One of {', '.join(DETECTORS)}.", autocompletion=complete_detector)
-    ] = "photometric",
+    dictionary: Dictionary = "4X4_50",
+    detector: Detector = "photometric",
     out_dir: Annotated[
-        Path | None, typer.Option("--out", help="Folder to make; tracks/NAME if left out.")
+        Path | None,
+        typer.Option(
+            "--out", metavar="DIR", show_default="tracks/NAME", help="Write the results into this new folder."
+        ),
     ] = None,
-    border_bits: Annotated[
-        int, typer.Option("--border-bits", min=1, max=3, help="Cells of the markers' black border.")
-    ] = 1,
-    inverted: Annotated[bool, typer.Option("--inverted", help="Markers are white on black.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Write into an existing folder.")] = False,
+    border_bits: BorderBits = 1,
+    inverted: Inverted = False,
+    force: ForceFolder = False,
 ) -> int:
-    """Follow robots with markers through overhead recordings, and measure the shape that they form.
+    """Follow robots through overhead videos; measure their shape.
 
-    Leaves tracks on the ground in marker sides, rectified, and the shape error over time, as tables and a
-    figure. Exit code 0 when done, 1 if no robot's marker was found, 2 for bad input.
+    It writes rectified tracks on the ground, in marker sides, and the shape error over time, as tables and a
+    figure.
+
+    Exit code 0 when done, 1 if no robot's marker was found, 2 for bad input.
     """
+    from skyherd.datasets import refuse_configuration
     from skyherd.inspection import output_name
-    from skyherd.live.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
     from skyherd.markers.sheet_layout import parse_ids
+    from skyherd.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
 
     if shape is not None and scenario is not None:
         raise InputError("--shape", "given with --scenario", "one of the two")
+    for video in videos:
+        refuse_configuration(video, "video")
     source = None if shape is None else named_shape(shape)
     source = source if scenario is None else scenario_shape(scenario)
     folder = out_dir or Path("tracks") / output_name(Path(os.path.abspath(videos[0])).stem)
-    with ProgressReporter() as progress, telling_of_interrupts("nothing is left of it"):
+    with ProgressReporter() as progress, telling_of_interrupts(NOTHING_LEFT):
         recordings = track_videos(
             videos,
             folder,

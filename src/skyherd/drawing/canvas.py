@@ -18,7 +18,7 @@ import numpy.typing as npt
 from PIL import Image as PillowImage
 from PIL import ImageDraw, ImageFont
 
-from skyherd.geometry import Image
+from skyherd.geometry import RgbImage
 
 Color = tuple[int, int, int]
 """Red, green and blue, 0 to 255."""
@@ -53,14 +53,14 @@ class Box:
     width: int
     height: int
 
-    def of(self, image: Image) -> Image:
+    def of(self, image: RgbImage) -> RgbImage:
         """Return the part of the image in the box, as a view."""
         return image[self.top : self.top + self.height, self.left : self.left + self.width]
 
 
 def _fixed(points_px: npt.ArrayLike) -> npt.NDArray[np.int32]:
     """Return points as OpenCV's fixed-point numbers, clamped far outside the image."""
-    # Called a hundred times per frame; `clip` takes twice as long as separate bounds.
+    # This runs a hundred times a frame; `clip` takes twice as long as both bounds by themselves.
     points = np.minimum(np.maximum(np.asarray(points_px, dtype=np.float64), -_FAR_PX), _FAR_PX)
     fixed: npt.NDArray[np.int32] = np.rint(points * _ONE).astype(np.int32, order="C")
     return fixed
@@ -72,7 +72,7 @@ def _fixed_point(point_px: Sequence[float]) -> tuple[int, int]:
 
 
 def draw_lines(
-    image: Image,
+    image: RgbImage,
     lines_px: npt.NDArray[np.float64] | Iterable[npt.ArrayLike],
     color: Color,
     width_px: int = 1,
@@ -89,19 +89,19 @@ def draw_lines(
 
 
 def draw_segments(
-    image: Image, starts_px: npt.ArrayLike, ends_px: npt.ArrayLike, color: Color, width_px: int = 1
+    image: RgbImage, starts_px: npt.ArrayLike, ends_px: npt.ArrayLike, color: Color, width_px: int = 1
 ) -> None:
     """Draw straight lines from points (N, 2) to points (N, 2)."""
     draw_lines(image, np.stack([starts_px, ends_px], axis=1), color, width_px)
 
 
-def fill_polygon(image: Image, points_px: npt.ArrayLike, color: Color) -> None:
+def fill_polygon(image: RgbImage, points_px: npt.ArrayLike, color: Color) -> None:
     """Fill a polygon with corners (M, 2)."""
     cv2.fillPoly(image, [_fixed(points_px)], color, cv2.LINE_AA, _SHIFT)
 
 
 def draw_circle(
-    image: Image, center_px: Sequence[float], radius_px: float, color: Color, width_px: int = 1
+    image: RgbImage, center_px: Sequence[float], radius_px: float, color: Color, width_px: int = 1
 ) -> None:
     """Draw a circle, or a disc if `width_px` is -1."""
     center = _fixed_point(center_px)
@@ -109,7 +109,7 @@ def draw_circle(
 
 
 def draw_ring(
-    image: Image, center_px: Sequence[float], radius_px: float, colors: Sequence[Color], width_px: int = 2
+    image: RgbImage, center_px: Sequence[float], radius_px: float, colors: Sequence[Color], width_px: int = 2
 ) -> None:
     """Draw a circle in as many equal arcs as there are colours, clockwise from the left."""
     if len(colors) == 1:
@@ -151,7 +151,7 @@ def circle_dashes(
 @lru_cache(maxsize=64)
 def _font(size_px: int, bold: bool) -> ImageFont.FreeTypeFont:
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    # Matplotlib includes the fonts. Importing it takes 0.15 s and is only needed for figures.
+    # Matplotlib brings the fonts. It is found and not imported, which takes 0.15 s and is for figures only.
     spec = find_spec("matplotlib")
     folder = Path(spec.origin or "").parent if spec else Path()
     return ImageFont.truetype(folder / "mpl-data" / "fonts" / "ttf" / name, size_px)
@@ -193,7 +193,7 @@ def _sprite(text: str, size_px: int, bold: bool, align: Align, color: Color, hal
 
 
 def draw_text(
-    image: Image,
+    image: RgbImage,
     text: str,
     at_px: tuple[float, float],
     color: Color,
@@ -219,7 +219,7 @@ def draw_text(
 
 
 def draw_arrows(
-    image: Image,
+    image: RgbImage,
     starts_px: npt.ArrayLike,
     tips_px: npt.ArrayLike,
     color: Color,

@@ -1,69 +1,69 @@
 """The lock on a folder: one process at a time writes into it."""
 
-import os
-import sys
-import time
+import errno
+from contextlib import suppress
 from pathlib import Path
-from weakref import WeakSet
+from typing import TYPE_CHECKING
 
-if sys.platform != "win32":  # which has no such locks: there two processes must not be given one folder
-    import fcntl
+if TYPE_CHECKING:
+    from filelock import BaseFileLock
 
-POLL_S = 0.05
-"""How often a process that waits for a folder asks for it, s. *Chosen*: as often as a person cannot see."""
+LOCK = ".skyherd.lock"
+"""Name of the lock file, which is in the folder as long as it is locked."""
+
+NO_LOCKS = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP}
+"""Errors of file systems that have no locks."""
 
 
 class FolderLock:
-    """A lock on a folder, which is the open folder's, and ends with this process at the latest."""
+    """A lock on a folder, held through a lock file in it.
+
+    The lock ends with this process at the latest. A lock file that a killed process left does not lock. A
+    forked process does not inherit the lock.
+    """
 
     def __init__(self) -> None:
-        self._open: int | None = None
-        _locks.add(self)
+        self._held: BaseFileLock | None = None
 
     def acquire(self, folder: Path, wait_s: float) -> bool:
-        """Lock a folder, and return whether that went well: another process may hold it for longer.
+        """Lock a folder, and return False if another process holds it for longer.
 
-        On a system or a file system without such locks nothing is locked, and the answer is yes.
+        On a file system without locks nothing is locked, and the answer is True.
 
         Args:
             folder: the folder.
             wait_s: how long to wait for another process.
+
+        Raises:
+            OSError: the lock file cannot be made.
         """
-        if sys.platform == "win32":
+        from filelock import FileLock, Timeout
+
+        lock = FileLock(folder / LOCK, thread_local=False, fallback_to_soft=False)
+        try:
+            lock.acquire(timeout=wait_s)
+        except Timeout:
+            return False
+        except OSError as error:
+            if error.errno not in NO_LOCKS:
+                raise
+            _remove(folder / LOCK)
             return True
-        ends_s = time.monotonic() + wait_s
-        opened = os.open(folder, os.O_RDONLY)
-        while True:
-            try:
-                fcntl.flock(opened, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if time.monotonic() < ends_s:
-                    time.sleep(POLL_S)
-                    continue
-                os.close(opened)
-                return False
-            except OSError:  # a file system without locks
-                os.close(opened)
-                return True
-            self._open = opened
-            return True
+        self._held = lock
+        return True
 
     def release(self) -> None:
-        """Give the folder up, if it was locked."""
-        if self._open is not None:
-            os.close(self._open)
-            self._open = None
+        """Unlock the folder, if it was locked, and remove the lock file.
+
+        The file is removed before it is unlocked. A process that waits for the removed file is not given its
+        lock: `filelock` checks that the file still has a name.
+        """
+        if self._held is not None:
+            _remove(Path(self._held.lock_file))
+            self._held.release()
+            self._held = None
 
 
-_locks: WeakSet[FolderLock] = WeakSet()
-"""All locks of this process."""
-
-
-def _release_copies() -> None:
-    """Close a forked process's copies of its maker's locks, which would hold folders after the maker ends."""
-    for lock in _locks:
-        lock.release()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_release_copies)
+def _remove(path: Path) -> None:
+    with suppress(OSError):
+        path.unlink()

@@ -114,7 +114,7 @@ def read_grey(path: Path, *, max_pixels: int | None = None) -> Grey:
             why = " ".join(str(error).split()) or type(error).__name__
             raise _refuse(path, f"damaged or cut short ({why})", f"give {FORMATS} that is whole") from None
     if pages > 1:
-        warnings.warn(InputWarning(f"{path}: {pages} pages, of which the first is read"), stacklevel=2)
+        warnings.warn(InputWarning(f"{path}: {pages} pages; the first is read"), stacklevel=2)
     return upright
 
 

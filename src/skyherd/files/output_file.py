@@ -40,7 +40,7 @@ class OutputFile:
         if not self.path.parent.is_dir():
             raise InputError(str(self.path), f"no folder {self.path.parent}", "make it first")
         if os.path.lexists(self.path) and not self._force:
-            raise InputError(str(self.path), "exists", "another --out, or --force to replace it")
+            raise InputError(str(self.path), "exists", "choose another --out, or replace it with --force")
         self._folder.check()
 
     def __enter__(self) -> Self:

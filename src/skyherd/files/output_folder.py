@@ -25,7 +25,7 @@ from skyherd.files.folder_record import RECORD, Entry, digest_of, read_entries, 
 from skyherd.files.reading import is_regular
 
 MAX_NAME_BYTES = 255
-"""Maximum length of a file name, bytes. *Defined* by Linux, macOS and Windows alike."""
+"""Bytes of the longest name of a file. *Defined* by Linux, macOS and Windows alike."""
 
 
 class OutputFolder:
@@ -84,7 +84,7 @@ class OutputFolder:
         if not os.path.lexists(self.path):
             return
         if not (self._force or self._resume):
-            raise InputError(str(self.path), "exists", "another --out, or --force to replace it")
+            raise InputError(str(self.path), "exists", "choose another --out, or write into it with --force")
         entries = read_entries(self.path)
         for name in self.names:
             self._check_free(name, entries)
@@ -102,7 +102,7 @@ class OutputFolder:
         try:
             self._make_folders()
             if not self._lock.acquire(self.path, self._wait_s):
-                self._made_folders = []  # The other process owns it now.
+                self._made_folders = []  # the other one's now
                 raise InputError(str(self.path), writer_of(self.path), f"wait for it{self._or_elsewhere}")
         except OSError as error:
             self._remove_made_folders()
@@ -230,7 +230,7 @@ class OutputFolder:
             if name.endswith("/"):
                 shutil.rmtree(path, ignore_errors=True)
             else:
-                with suppress(OSError):  # A name that no file can have was never created.
+                with suppress(OSError):  # of a name that no file can have, nothing was made
                     path.unlink()
             for parent in list(path.relative_to(self.path).parents)[:-1]:
                 with suppress(OSError):
@@ -265,7 +265,7 @@ def check_name(path: Path) -> None:
     try:
         str(path).encode("utf-8")
     except UnicodeEncodeError:
-        raise InputError(str(path), "the name is not UTF-8", "another --out") from None
+        raise InputError(str(path), "its name is not UTF-8", "another --out") from None
     longest = max((len(part.encode()) for part in path.parts), default=0)
     if "\0" in str(path) or longest > MAX_NAME_BYTES:
         raise InputError(str(path), "no file can have this name", "another --out")

@@ -7,6 +7,7 @@ the package therefore opens files here, with the maximum size of its kind of fil
 import json
 import os
 import stat
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,6 +19,10 @@ MIB = 2**20
 MAX_JSON_BYTES = 64 * MIB
 """Maximum size of a JSON file, bytes. *Chosen*: the largest that the package writes, the COCO file of ten
 thousand images, has some 30 MiB."""
+
+MAX_JSON_LEVELS = 64
+"""Maximum nesting of lists and objects in a JSON file. *Chosen*: files of the package have fewer than ten
+levels, and readers recurse once per level."""
 
 KINDS = (
     (stat.S_ISDIR, "is a folder"),
@@ -34,11 +39,11 @@ def open_regular(path: Path, allowed: str, max_bytes: int | None = None) -> Bina
 
     Args:
         path: the file; a symbolic link is followed.
-        allowed: advice in the error message.
-        max_bytes: maximum accepted size; None for any.
+        allowed: what to give instead, as the complaint says it.
+        max_bytes: size of the largest file that is accepted; None for any.
 
     Raises:
-        InputError: the file is missing, cannot be opened, is not regular, or is too large.
+        InputError: there is no such file, it cannot be opened, it is not a regular file, or it is too large.
     """
     try:
         _check_kind(path, os.stat(path).st_mode, allowed)
@@ -92,14 +97,35 @@ def read_json(path: Path, allowed: str, max_bytes: int = MAX_JSON_BYTES) -> Any:
     Raises:
         InputError: `open_regular` rejects it, or it is not valid JSON.
     """
+    text = read_text(path, allowed, max_bytes)
     try:
-        return json.loads(read_text(path, allowed, max_bytes))
-    except RecursionError:
-        raise InputError(str(path), "damaged: nested too deeply", allowed) from None
-    except InputError:
-        raise
+        return parse_json(text)
     except ValueError as error:
         raise InputError(str(path), f"damaged: {error}", allowed) from None
+
+
+def parse_json(text: str) -> Any:
+    """Parse a JSON text as dictionaries, lists and plain values.
+
+    Raises:
+        ValueError: it is no JSON, or nested more than `MAX_JSON_LEVELS` deep.
+    """
+    too_deep = f"nested more than {MAX_JSON_LEVELS} deep"
+    try:
+        value = json.loads(text)
+    except RecursionError:
+        raise ValueError(too_deep) from None
+    level, depth = [value], 0
+    while level := [child for node in level for child in _children(node)]:
+        depth += 1
+        if depth > MAX_JSON_LEVELS:
+            raise ValueError(too_deep)
+    return value
+
+
+def _children(node: Any) -> Iterable[Any]:
+    """Return the values within a JSON value."""
+    return node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
 
 
 def is_regular(path: Path) -> bool:

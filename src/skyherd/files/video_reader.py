@@ -30,7 +30,7 @@ FEW = 4
 """Maximum number of such folders in an error message. *Chosen*: fits a line or two."""
 
 USUAL_RATE_HZ = Fraction(25)
-"""VideoFrame rate of a video that states none, Hz. *Chosen*: usual, and only times depend on it."""
+"""Frame rate of a video that states none, Hz. *Chosen*: usual, and only times depend on it."""
 
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".mts", ".wmv"}
@@ -60,13 +60,13 @@ GIVE_A_VIDEO = "give one that plays, such as an MP4"
 
 
 @dataclass(frozen=True)
-class VideoFrame:
+class ClipFrame:
     """A picture of a video.
 
     Attributes:
         index: its number, from 0.
-        time_s: its presentation time in the stream, s. Frames may be unevenly spaced, and the first need not
-            be at 0.
+        time_s: its time in the stream, at which a player shows it. Frames need not be evenly apart, nor does
+            the first have to be at 0.
         image: grey levels (height, width).
     """
 
@@ -177,7 +177,7 @@ def _end_s(container: av.container.InputContainer, stream: av.VideoStream, rate_
     kind = container.format.name
     if kind in UNSTATED:
         return None
-    if kind == "avi" and stream.frames:  # FFmpeg gives the duration of the existing part of a truncated file.
+    if kind == "avi" and stream.frames:  # of a part of a file, FFmpeg gives the duration of that part
         return float(stream.frames / rate_hz)
     if stream.duration is not None and stream.time_base is not None:
         return float((stream.duration + (stream.start_time or 0)) * stream.time_base)
@@ -194,7 +194,7 @@ def _check_size(path: Path, width: int, height: int) -> None:
         raise InputError(str(path), what, f"at most {MAX_PIXELS / 1e6:.0f} megapixels can be read")
 
 
-def read_clip(clip: Clip) -> Generator[VideoFrame]:
+def read_clip(clip: Clip) -> Generator[ClipFrame]:
     """Read the frames of a video, one at a time, as far as possible.
 
     Warns with `InputWarning` at the end if the video is damaged, or shorter than its file says.
@@ -214,7 +214,7 @@ def read_clip(clip: Clip) -> Generator[VideoFrame]:
             elif index:
                 time_s += frame_s
             first_s = first_s if index else time_s
-            yield VideoFrame(index, time_s, grey.of(picture))
+            yield ClipFrame(index, time_s, grey.of(picture))
             index += 1
     if not index:
         raise _unreadable(clip.path, damage.error)
@@ -241,7 +241,7 @@ def _pictures(
         for packet in container.demux(stream):
             damage.found |= packet.is_corrupt
             pictures = _decoded(packet, damage)
-            while pictures:  # No reference is kept here while the caller uses a picture.
+            while pictures:  # none is held here while it is looked at
                 damage.found |= pictures[-1].is_corrupt
                 yield pictures.pop()
     except av.FFmpegError as error:

@@ -18,7 +18,7 @@ import numpy as np
 
 from skyherd.errors import OutputError
 from skyherd.files.atomic import part_of
-from skyherd.geometry import Image
+from skyherd.geometry import RgbImage
 
 QUALITY = {"crf": "23", "preset": "veryfast", "x264-params": "subme=1:analyse=none:b-adapt=0"}
 """Settings of libx264: constant quality, and fast enough for the loop. *Measured* on 101 frames of `star`,
@@ -88,7 +88,7 @@ class VideoSink:
         self._stream = self._add_stream()
         self._open = True
 
-    def write(self, frame: Image, time_s: float = 0.0) -> None:
+    def write(self, frame: RgbImage, time_s: float = 0.0) -> None:
         """Append one frame, (height, width, 3) uint8 RGB; the array may be changed afterwards.
 
         Args:
@@ -215,7 +215,7 @@ def count_frames(path: str | os.PathLike[str]) -> int:
         return sum(1 for packet in container.demux(video=0) if packet.size)
 
 
-def read_frames(path: str | os.PathLike[str]) -> Iterator[Image]:
+def read_frames(path: str | os.PathLike[str]) -> Iterator[RgbImage]:
     """Read the frames of a video file, one at a time: (height, width, 3) uint8 RGB.
 
     Raises:

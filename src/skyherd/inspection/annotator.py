@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from skyherd.drawing.canvas import Color, draw_arrows, draw_lines, draw_text, fill_polygon, text_width
 from skyherd.drawing.palette import PAPER, UNIT_COLORS, rgb
-from skyherd.geometry import Array, Image, to_points
+from skyherd.geometry import Array, RgbImage, to_points
 from skyherd.messages import Detections
 from skyherd.vision import Reason, Rejection
 
@@ -60,7 +60,7 @@ class Annotator:
 
     def draw(
         self, image: npt.NDArray[np.uint8], detections: Detections, rejections: Sequence[Rejection] = ()
-    ) -> Image:
+    ) -> RgbImage:
         """Return an RGB copy of a grey image, `zoom` times as large, with detections and rejections.
 
         Detections have an outline, an arrow forward and their id. Rejections have an outline, and a number
@@ -81,7 +81,7 @@ class Annotator:
         """Return points (..., 2) of the image in the enlarged picture, px."""
         return np.asarray((points_px + 0.5) * self.zoom - 0.5)
 
-    def _outline(self, picture: Image, squares_px: list[Array], color: Color, width_px: int) -> None:
+    def _outline(self, picture: RgbImage, squares_px: list[Array], color: Color, width_px: int) -> None:
         """Draw lines just outside the squares."""
         for corners in squares_px:
             shown = self._shown(corners)
@@ -91,7 +91,7 @@ class Annotator:
                 picture, [center + (shown - center) * (1 + width_px / reach)], color, width_px, closed=True
             )
 
-    def _arrows(self, picture: Image, detections: Detections) -> None:
+    def _arrows(self, picture: RgbImage, detections: Detections) -> None:
         """Draw forward arrows, from the middles of the front edges outwards."""
         ahead = to_points(np.exp(1j * detections.headings_rad))
         sides = detections.sides_px[:, None] * self.zoom
@@ -99,7 +99,7 @@ class Annotator:
         starts = self._shown(detections.centers_px) + sides / 2 * ahead
         draw_arrows(picture, starts, starts + lengths * ahead, FOUND_COLOR, rgb(PAPER), scale=self.scale)
 
-    def _label(self, picture: Image, detections: Detections, rejections: list[Rejection]) -> None:
+    def _label(self, picture: RgbImage, detections: Detections, rejections: list[Rejection]) -> None:
         """Draw ids beside the markers, away from their arrows; number and reason beside rejections."""
         centers = [*detections.centers_px, *(r.center_px for r in rejections)]
         if not centers:
@@ -140,7 +140,7 @@ class Annotator:
         hidden = overlap.clip(0).prod(axis=2).sum(axis=1)
         return np.asarray(boxes[int(np.argmin(hidden + PREFERENCE * np.arange(turns.size)))])
 
-    def _write(self, picture: Image, text: str, box: Array, color: Color) -> None:
+    def _write(self, picture: RgbImage, text: str, box: Array, color: Color) -> None:
         left, top, right, bottom = box
         fill_polygon(picture, np.array([[left, top], [right, top], [right, bottom], [left, bottom]]), color)
         middle = ((left + right) / 2, (top + bottom) / 2)

@@ -30,7 +30,7 @@ from skyherd.inspection.table import (
     rejection_rows,
 )
 from skyherd.jobs.progress import NO_PROGRESS, Progress
-from skyherd.markers.dictionary import load_dictionary, with_border
+from skyherd.markers.dictionary import canonical_name, load_dictionary, with_border
 from skyherd.messages import Detections
 from skyherd.vision import (
     DEFAULT_DICTIONARY,
@@ -88,10 +88,11 @@ class Inspector:
         kind: Format = "csv",
         progress: Progress = NO_PROGRESS,
     ) -> None:
-        self.detector, self.dictionary, self.explained, self.kind = detector, dictionary, explained, kind
+        self.detector, self.explained, self.kind = detector, explained, kind
+        self.dictionary = dictionary if dictionary == AUTO else canonical_name(dictionary)
         self.border_bits, self.inverted, self.repeats = border_bits, inverted, repeats
         self._progress = progress
-        usual = DEFAULT_DICTIONARY if dictionary == AUTO else dictionary
+        usual = DEFAULT_DICTIONARY if dictionary == AUTO else self.dictionary
         load_dictionary(usual)
         self._create_detector(usual)
 

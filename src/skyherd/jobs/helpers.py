@@ -10,8 +10,9 @@ Only Linux forks processes safely with the libraries that are used here; elsewhe
 whoever would have helpers works alone. OpenCV's own threads do not survive a fork, so that it is given one
 thread for as long as there are helpers (`one_thread`).
 
-A helper ends when its maker closes it, and by itself when its maker is gone, even by SIGKILL. It leaves
-signals to its maker, since a terminal sends Ctrl-C to both.
+A helper ends when its maker closes it. The kernel kills it when its maker ends in any other way, even by
+SIGKILL (`skyherd.jobs.lifetime`): the thread that makes a helper must therefore live as long as the helper is
+needed. A helper leaves signals to its maker, since a terminal sends Ctrl-C to both.
 """
 
 import multiprocessing
@@ -29,6 +30,8 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.util import Finalize
 from types import TracebackType
 from typing import Any, Self, TypeVar
+
+from skyherd.jobs.lifetime import end_with_parent
 
 Item = TypeVar("Item")
 """Unit of work."""
@@ -197,6 +200,7 @@ def _work(serve: Callable[[Any], Any], pipe: Connection, others: list[Connection
 
     A thread reads the requests, so that its maker can go on while it works.
     """
+    end_with_parent()
     _open.clear()
     with suppress(ValueError):  # there are no handlers to set if it was not forked from a main thread
         for name in SIGNALS:

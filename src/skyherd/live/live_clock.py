@@ -1,22 +1,22 @@
-"""A process's own clock: the time of day at the start, and from there on the machine's steady one."""
+"""Clock of a process: the time of day at its start, advanced by the machine's monotonic clock."""
 
 import time
 
 from skyherd.errors import InputError
 
 MAX_OFFSET_S = 86_400.0
-"""Greatest offset of a clock that is off on purpose, s. *Chosen*: a day, far beyond what any lab trusts; the
-nanoseconds since 1970 that recordings keep have room for it."""
+"""Largest deliberate clock offset, s. *Chosen*: one day, far above the limit of any lab. Recordings store
+nanoseconds since 1970, which have room for it."""
 
 
 class LiveClock:
-    """Seconds since 1970 that never jump, whatever sets the machine's time of day meanwhile.
+    """Monotonic time in seconds since 1970. Changes of the machine's time of day do not affect it.
 
     Args:
-        offset_s: is added to it; a clock that is off, for tests of what that does.
+        offset_s: deliberate offset, for tests of clocks that disagree.
 
     Raises:
-        InputError: the offset is no number, or more than `MAX_OFFSET_S` either way.
+        InputError: the offset is not a number, or its magnitude exceeds `MAX_OFFSET_S`.
     """
 
     def __init__(self, offset_s: float = 0.0) -> None:
@@ -29,5 +29,5 @@ class LiveClock:
         self._zero_s = time.time() - time.monotonic() + offset_s
 
     def __call__(self) -> float:
-        """Now, s."""
+        """Return the current time, s since 1970."""
         return self._zero_s + time.monotonic()

@@ -1,7 +1,7 @@
-"""The radio as processes see it, and a radio in memory for tests of its faults.
+"""Radio interface of the processes, and an in-memory radio for tests of message loss and latency.
 
-A radio carries bytes under topics and promises nothing: messages are lost, late, repeated or reordered. A
-`Mailbox` puts the messages of one process into envelopes and validates those that arrive.
+A radio carries bytes under topics without any guarantee: messages are lost, late, repeated or reordered. A
+`Mailbox` puts the messages of one process into envelopes and validates incoming ones.
 """
 
 import queue
@@ -15,34 +15,34 @@ from skyherd.live.stop_latch import StopLatch
 from skyherd.live.wire import Envelope, Message, Refusals, Refused, decode, encode
 
 MAX_WAITING = 5000
-"""Messages that wait for a process at most; later ones are dropped, and counted. Chosen: ten seconds of a
-team of twenty; a process that is slower than its radio had better miss news than steer by old ones."""
+"""Size of the receive queue, messages; further ones are dropped and counted. Chosen: ten seconds of traffic
+of a team of twenty. A process slower than its radio loses messages instead of acting on stale ones."""
 
 
 class Radio(Protocol):
-    """Carries bytes between processes under topics such as `skyherd/TEAM/goals/unit/0`."""
+    """Transport of bytes between processes, under topics such as `skyherd/TEAM/goals/unit/0`."""
 
     def publish(self, topic: str, data: bytes) -> None:
-        """Send to all that listen now; never waits, and may be lost."""
+        """Send bytes to all current subscribers, without blocking. The message may be lost."""
 
     def subscribe(self, pattern: str, take: Callable[[bytes], None]) -> None:
-        """Call `take` with all that comes under a pattern, in which `*` is one part and `**` any number.
+        """Call `take` with each message whose topic matches a pattern.
 
-        It may be called from another thread, and must return soon. A radio may give a process what it sent
-        itself.
+        In a pattern, `*` matches one part and `**` any number of parts. `take` may run in another thread and
+        must return quickly. A radio may deliver a process's own messages to it.
         """
 
     def close(self) -> None:
-        """End all of it."""
+        """Close the radio and all its subscriptions."""
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """A message at the instant at which it arrived.
+    """A received message with its time of arrival.
 
     Attributes:
         envelope: the message.
-        received_s: when it arrived, by this process's clock.
+        received_s: time of arrival by this process's clock.
     """
 
     envelope: Envelope
@@ -50,25 +50,25 @@ class Arrival:
 
 
 class Mailbox:
-    """The messages of one process: outgoing ones get an envelope, incoming ones are validated.
+    """Outgoing and incoming messages of one process: it adds envelopes, and validates received bytes.
 
-    Messages of its own are left out. Those that another process sends under the same name arrive, with an
-    `instance` that differs.
+    The mailbox skips the process's own messages. It delivers messages that another process sends under the
+    same name; their `instance` differs.
 
     Attributes:
         name: of the process, such as `unit/0`.
         instance: random id of this process.
-        refusals: what was refused, by reason.
-        dropped: messages that were dropped since the process did not fetch them in time.
+        refusals: counts of refused messages by reason.
+        dropped: number of messages dropped because the queue was full.
 
     Args:
-        radio: what carries the bytes.
+        radio: carries the bytes.
         team: messages of other teams are refused.
         name: as the attribute.
-        clock: gives the time, s.
+        clock: returns the time, s.
         kinds: topics to listen to, after the team's name: `goals/**`.
-        tell: called with a line, the first time that something is refused for a reason.
-        latch: returns the commands that the process knows of, for every message that it sends.
+        tell: called with a line for the first refusal of each reason.
+        latch: returns the known commands, which every sent message carries.
     """
 
     def __init__(
@@ -90,14 +90,14 @@ class Mailbox:
             radio.subscribe(f"skyherd/*/{kind}", self._take)
 
     def send(self, message: Message) -> Envelope:
-        """Send a message to all listeners, and return its envelope."""
+        """Send a message to all subscribers, and return its envelope."""
         envelope = Envelope(self.name, self._clock(), message, self.instance, self._latch())
         topic = f"skyherd/{self._team}/{envelope.kind}/{self.name}"
         self._radio.publish(topic, encode(envelope, self._team))
         return envelope
 
     def fetch(self, timeout_s: float = 0.0) -> Iterator[Arrival]:
-        """Yield the messages that have arrived, in order; wait for the first one up to `timeout_s`."""
+        """Yield the received messages in order. Wait up to `timeout_s` for the first one."""
         wait = timeout_s > 0
         while True:
             try:
@@ -122,7 +122,7 @@ class Mailbox:
 
 
 def matches(pattern: str, topic: str) -> bool:
-    """Whether a topic is under a pattern, in which `*` is one part and `**` any number of them."""
+    """Return whether a topic matches a pattern: `*` is one part, `**` any number of parts."""
     return _matches(pattern.split("/"), topic.split("/"))
 
 
@@ -136,12 +136,12 @@ def _matches(pattern: list[str], parts: list[str]) -> bool:
 
 @dataclass
 class Air:
-    """What memory radios share: who hears whom, how late, and what gets lost.
+    """Simulated medium of the memory radios, with message loss and latency.
 
     Attributes:
-        drop: decides for a topic and a receiver whether a message is lost.
-        delay_s: tells for a topic and a receiver how late it is.
-        now_s: the time, which only `advance` moves.
+        drop: returns, for a topic and a receiver, whether a message is lost.
+        delay_s: returns, for a topic and a receiver, the latency, s.
+        now_s: simulated time, which only `advance` changes.
     """
 
     drop: Callable[[str, str], bool] = lambda topic, receiver: False
@@ -152,19 +152,19 @@ class Air:
     _count: int = 0
 
     def radio(self, name: str) -> "MemoryRadio":
-        """A new radio of the process of this name."""
+        """Return a new radio for the process of this name."""
         self._radios.append(MemoryRadio(self, name))
         return self._radios[-1]
 
     def advance(self, now_s: float) -> None:
-        """Let time pass: what is due by then arrives, in order."""
+        """Advance the time, and deliver the messages due by then in order."""
         while self._under_way and self._under_way[0][0] <= now_s:
             self.now_s, _, take, data = heappop(self._under_way)
             take(data)
         self.now_s = now_s
 
     def carry(self, topic: str, data: bytes) -> None:
-        """Send a message on its way to everybody who listens."""
+        """Queue a message for every matching subscriber."""
         for radio in self._radios:
             for pattern, take in radio.listeners:
                 if matches(pattern, topic) and not self.drop(topic, radio.name):
@@ -173,16 +173,16 @@ class Air:
                     heappush(self._under_way, (due_s, self._count, take, data))
 
     def leave(self, radio: "MemoryRadio") -> None:
-        """A radio is closed."""
+        """Remove a closed radio."""
         self._radios.remove(radio)
 
 
 class MemoryRadio(Radio):
-    """A radio whose messages cross an `Air`.
+    """A radio whose messages pass through an `Air`.
 
     Attributes:
-        name: of its process, by which the air's rules know it.
-        listeners: patterns, and who listens to them.
+        name: of its process, which `Air.drop` and `Air.delay_s` receive.
+        listeners: pairs of pattern and callback.
     """
 
     def __init__(self, air: Air, name: str) -> None:
@@ -191,13 +191,13 @@ class MemoryRadio(Radio):
         self._air = air
 
     def publish(self, topic: str, data: bytes) -> None:
-        """Send to all that listen now."""
+        """Send bytes to all current subscribers."""
         self._air.carry(topic, data)
 
     def subscribe(self, pattern: str, take: Callable[[bytes], None]) -> None:
-        """Call `take` with all that arrives under a pattern."""
+        """Call `take` with each message whose topic matches a pattern."""
         self.listeners.append((pattern, take))
 
     def close(self) -> None:
-        """Hear nothing any more."""
+        """Stop receiving."""
         self._air.leave(self)

@@ -1,4 +1,4 @@
-"""Commands of an operator from any process of the team: arm, stop, and watch."""
+"""Commands of an operator, from any process of the team: arm, stop and watch."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,16 +11,16 @@ from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch
 from skyherd.live.wire import Arm, Heartbeat, Stop
 
 REPEAT_S = 0.2
-"""Time between two sendings of a command, s. Chosen: messages may be lost."""
+"""Repetition period of a command, s. Chosen: repetition covers message loss."""
 
 LEARN_S = 1.0
-"""Time within which an operator learns the team's numbers, s. Chosen: four heartbeats of each process."""
+"""Time for an operator to learn the team's stop numbers, s. Chosen: four heartbeats of each process."""
 
 SETTLE_S = 3.0
-"""Longest time that arm and stop wait for all robots, s. Chosen: a dozen heartbeats of each."""
+"""Longest wait of arm and stop for all robots, s. Chosen: a dozen heartbeats of each."""
 
 GONE_S = 2.0
-"""A process without a heartbeat for so long counts as gone, s."""
+"""Time without a heartbeat after which a process counts as gone, s. Chosen: eight heartbeats."""
 
 HEARS = ("heartbeat/**", "arm/**", "stop/**")
 """Topics that an operator listens to, after the team's name."""
@@ -32,23 +32,25 @@ class Sign:
 
     Attributes:
         heartbeat: the message.
-        latch: the commands that the process knew of.
-        received_s: when it arrived, by the operator's clock.
+        latch: commands known to the process.
+        sent_s: time of sending on the clock of the process.
+        received_s: time of arrival on the operator's clock.
     """
 
     heartbeat: Heartbeat
     latch: StopLatch
+    sent_s: float
     received_s: float
 
 
 @dataclass
 class Watch:
-    """What an operator has heard of the team.
+    """An operator's view of the team.
 
     Attributes:
-        mailbox: its messages, which carry its latch.
-        clock: its own.
-        latch: the commands that it knows of.
+        mailbox: the operator's messages, which carry its latch.
+        clock: the operator's clock.
+        latch: commands known to the operator.
         signs: the last heartbeat of each process, by name.
     """
 
@@ -59,21 +61,23 @@ class Watch:
     _instances: dict[str, Instances] = field(default_factory=dict)
 
     def listen(self, timeout_s: float) -> None:
-        """Take in the messages that have arrived; wait for the first one up to `timeout_s`."""
+        """Process the received messages. Wait up to `timeout_s` for the first one."""
         for arrival in self.mailbox.fetch(timeout_s):
             self.hear(arrival)
 
     def hear(self, arrival: Arrival) -> None:
-        """Take in one message."""
+        """Process one message."""
         envelope = arrival.envelope
         self.latch = self.latch.merge(envelope.latch)
         if isinstance(envelope.message, Heartbeat):
-            self.signs[envelope.sender] = Sign(envelope.message, envelope.latch, arrival.received_s)
+            self.signs[envelope.sender] = Sign(
+                envelope.message, envelope.latch, envelope.sent_s, arrival.received_s
+            )
             instances = self._instances.setdefault(envelope.sender, Instances(envelope.instance))
             instances.hear(envelope.instance, arrival.received_s)
 
     def alive(self) -> dict[str, Heartbeat]:
-        """Return the last heartbeats of the processes that are alive, by name."""
+        """Return the last heartbeat of each process that is alive, by name."""
         now_s = self.clock()
         return {
             name: sign.heartbeat for name, sign in self.signs.items() if now_s - sign.received_s <= GONE_S
@@ -83,8 +87,18 @@ class Watch:
         """Return whether two processes use a name now."""
         return name in self._instances and self._instances[name].conflict(self.clock())
 
+    def silence_s(self, name: str) -> tuple[float, str] | None:
+        """Return how long ago another process last heard a process, s, and its name; None if none did."""
+        now_s = self.clock()
+        ages = [
+            (sign.sent_s - sign.heartbeat.heard[name][1] + now_s - sign.received_s, other)
+            for other, sign in self.signs.items()
+            if name in sign.heartbeat.heard
+        ]
+        return min(ages, default=None)
+
     def robot_sign(self, robot: int) -> Sign | None:
-        """Return the last heartbeat of a robot; None without one, or if two processes use its name."""
+        """Return the last heartbeat of a robot, or None without one or if two processes use its name."""
         name = f"robot/{robot}"
         return None if self.is_ambiguous(name) else self.signs.get(name)
 
@@ -94,9 +108,9 @@ class Outcome:
     """Result of a command to all robots.
 
     Attributes:
-        done: robots that confirmed the command, by a heartbeat that names its number.
-        missing: robots that did not, each with its last known state in words.
-        failure: why the command as a whole failed; empty if it did not.
+        done: robots that confirmed the command, by a heartbeat with its number.
+        missing: last known state in words of each robot that did not confirm it.
+        failure: reason why the whole command failed; empty if it did not.
     """
 
     done: list[int]
@@ -105,15 +119,15 @@ class Outcome:
 
     @property
     def is_complete(self) -> bool:
-        """Whether all robots confirmed the command."""
+        """True if all robots confirmed the command."""
         return not self.missing and not self.failure
 
 
 class Command(Protocol):
-    """A command that is repeated until all robots have confirmed it."""
+    """A command, repeated until all robots have confirmed it."""
 
     def advance(self) -> bool:
-        """Send the command if it is due; return whether nothing is left to do."""
+        """Send the command if it is due. Return whether the command is finished."""
         ...
 
     def outcome(self) -> Outcome:
@@ -122,15 +136,15 @@ class Command(Protocol):
 
 
 class StopCommand:
-    """Stops and disarms all robots, and latches the stop in every process of the team.
+    """Command that stops and disarms all robots, and latches the stop in every process of the team.
 
-    The stop counts as confirmed by a robot whose heartbeat names its number or a newer stop, and says that
-    the robot is disarmed. Heartbeats that were sent before the stop cannot do that.
+    A robot confirms the stop by a heartbeat that carries its number, or a newer one, and reports the robot
+    disarmed. Heartbeats sent before the stop do not confirm it.
 
     Args:
         lab: the set-up.
-        watched: what the operator has heard.
-        why: who asked for it, for people.
+        watched: the operator's view of the team.
+        why: origin of the command, for people.
     """
 
     def __init__(self, lab: Lab, watched: Watch, why: str) -> None:
@@ -139,10 +153,10 @@ class StopCommand:
         self._issue()
 
     def advance(self) -> bool:
-        """Send the stop again if it is due; return whether all robots have confirmed it."""
+        """Repeat the stop if it is due. Return whether all robots have confirmed it."""
         now_s = self._watched.clock()
         if not self._watched.latch.stopped and now_s - self._began_s <= LEARN_S:
-            # The operator did not know the team's numbers, and its clock is behind.
+            # The operator did not know the team's numbers, and its clock lags.
             self._issue()
         elif now_s - self._sent_s >= REPEAT_S:
             self._sent_s = now_s
@@ -150,7 +164,7 @@ class StopCommand:
         return not self.outcome().missing
 
     def outcome(self) -> Outcome:
-        """Return which robots have confirmed the stop."""
+        """Return the robots that have confirmed the stop, and the others."""
         confirmed = {robot: self._has_stopped(robot) for robot in self._lab.ids}
         overridden = not self._watched.latch.stopped
         return _outcome(self._watched, confirmed, "a newer arm command overrides the stop" * overridden)
@@ -167,11 +181,11 @@ class StopCommand:
 
 
 class ArmCommand:
-    """Arms all robots, each at most once, and is given up at the first newer stop.
+    """Command that arms all robots, each at most once. The first newer stop cancels it.
 
     Args:
         lab: the set-up.
-        watched: what the operator has heard.
+        watched: the operator's view of the team.
     """
 
     def __init__(self, lab: Lab, watched: Watch) -> None:
@@ -183,11 +197,11 @@ class ArmCommand:
 
     @property
     def is_void(self) -> bool:
-        """Whether a stop is in force that this command does not clear."""
+        """True while a stop is in force that this command does not clear."""
         return self._watched.latch.stop > self._cleared
 
     def advance(self) -> bool:
-        """Send the command if it is due; return whether all robots are armed, or a stop is newer."""
+        """Send the command if it is due. Return whether all robots are armed, or a newer stop cancels it."""
         self._done |= {robot for robot in self._lab.ids if self._is_armed(robot)}
         if self.is_void or len(self._done) == len(self._lab.ids):
             return True
@@ -201,11 +215,11 @@ class ArmCommand:
         return False
 
     def outcome(self) -> Outcome:
-        """Return which robots are armed by this command."""
+        """Return the robots armed by this command, and the others."""
         confirmed = {robot: robot in self._done and not self.is_void for robot in self._lab.ids}
         failure = "a stop is newer than this command" * self.is_void
         if self._watched.latch.stop == MAX_STOP:
-            failure = "the stop has the largest number there is, so it was forged: restart the whole team"
+            failure = "the stop has the largest possible number, so it was forged: restart the whole team"
         return _outcome(self._watched, confirmed, failure)
 
     def _is_armed(self, robot: int) -> bool:
@@ -214,7 +228,7 @@ class ArmCommand:
 
 
 def watch(lab: Lab, radio: Radio, clock: Callable[[], float], name: str = "operator") -> Watch:
-    """Return a new operator of this name, which listens to the team from now on."""
+    """Return the view of a new operator of this name, which listens to the team from now on."""
 
     def latch() -> StopLatch:
         return watched.latch
@@ -224,21 +238,21 @@ def watch(lab: Lab, radio: Radio, clock: Callable[[], float], name: str = "opera
 
 
 def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S) -> Outcome:
-    """Arm all robots, and return which of them confirmed it within `settle_s`."""
+    """Arm all robots, and return the confirmations received within `settle_s`."""
     began_s = watched.clock()
-    # An arm command overrides only stops that its sender knows, so the numbers have to be learnt first.
+    # An arm command clears only stops that its sender knows, so the operator learns the numbers first.
     while watched.clock() - began_s < LEARN_S and len(watched.alive()) < len(lab.ids):
         watched.listen(0.05)
     return _insist(ArmCommand(lab, watched), watched, settle_s)
 
 
 def stop(lab: Lab, watched: Watch, why: str, settle_s: float = SETTLE_S) -> Outcome:
-    """Stop and disarm all robots at once, and return which of them confirmed it within `settle_s`."""
+    """Stop and disarm all robots at once, and return the confirmations received within `settle_s`."""
     return _insist(StopCommand(lab, watched, why), watched, settle_s)
 
 
 def _insist(command: Command, watched: Watch, settle_s: float) -> Outcome:
-    """Repeat a command until nothing is left to do, up to `settle_s`."""
+    """Repeat a command until it is finished, for at most `settle_s`."""
     end_s = watched.clock() + settle_s
     while not command.advance() and watched.clock() < end_s:
         watched.listen(0.05)
@@ -252,13 +266,14 @@ def _outcome(watched: Watch, confirmed: dict[int, bool], failure: str) -> Outcom
 
 
 def _last_state(watched: Watch, robot: int) -> str:
-    """Return the last known state of a robot and its age in words."""
+    """Return the last known state of a robot and its age, as a text."""
     name = f"robot/{robot}"
     if watched.is_ambiguous(name):
         return f"two processes are named {name}"
     sign = watched.signs.get(name)
     if sign is None:
-        return "never heard"
+        known = watched.silence_s(name)
+        return "never heard" if known is None else f"silent; {known[1]} heard it {known[0]:.1f} s ago"
     armed = "armed" if sign.heartbeat.armed else "disarmed"
     age_s = max(0.0, watched.clock() - sign.received_s)
     return f"{armed}, {sign.heartbeat.state or 'no state'}, heard {age_s:.1f} s ago"

@@ -1,4 +1,4 @@
-"""What every live process has: the set-up, a radio, a clock, a log, a name of its own, and status lines."""
+"""Context of a live process: lab, radio, clock, log, name lock, status lines and heartbeat timer."""
 
 import math
 import re
@@ -17,25 +17,25 @@ from skyherd.live.name_locks import WAIT_S, hold_name
 from skyherd.live.stop_latch import StopLatch
 
 HEARTBEAT_S = 0.25
-"""Time between two heartbeats, s. Chosen: clocks are compared four times a second."""
+"""Heartbeat period, s. Chosen: four clock comparisons a second."""
 
 CLAIM_S = 1.0
-"""Time that a new process listens for another one of its name, s. Chosen: four heartbeats."""
+"""Time for which a new process listens for another process of its name, s. Chosen: four heartbeats."""
 
 _NUMBERS = re.compile(r"[\d.]+")
 
 
 @dataclass
 class ProcessContext:
-    """What every live process has.
+    """Resources of one live process.
 
     Attributes:
         lab: the set-up.
         radio: carries its messages.
-        clock: its own.
-        folder: where it records.
-        tell: says a line to people.
-        ended: asked before each round; True ends the process.
+        clock: the clock of the process.
+        folder: folder of its recordings.
+        tell: called with each status line.
+        ended: called before each cycle; True ends the process.
     """
 
     lab: Lab
@@ -46,15 +46,15 @@ class ProcessContext:
     ended: Callable[[], bool] = lambda: False
 
     def mailbox(self, name: str, kinds: tuple[str, ...], latch: Callable[[], StopLatch]) -> Mailbox:
-        """Return the mailbox of a process of this name, whose messages carry what `latch` returns."""
+        """Return the mailbox of a process of this name. Its messages carry the latch from `latch()`."""
         return Mailbox(self.radio, self.lab.model.team, name, self.clock, kinds, self.tell, latch)
 
     @contextmanager
     def claimed(self, name: str) -> Iterator[None]:
         """Hold a name, after listening for another process that uses it.
 
-        On this machine a lock holds it, so that a suspended process is noticed too. On other machines a
-        process is noticed by its heartbeats.
+        A lock holds the name on this machine, which also detects a suspended process. Heartbeats reveal a
+        process on another machine.
 
         Raises:
             InputError: another process uses the name.
@@ -67,13 +67,13 @@ class ProcessContext:
                     if arrival.envelope.sender == name:
                         raise InputError(
                             f"{name} of team {self.lab.model.team}",
-                            "a process of this name is alive on another machine",
-                            "end that one first",
+                            "a process of this name runs on another machine",
+                            "end that process first",
                         )
             yield
 
     def process_log(self, name: str) -> ProcessLog:
-        """Return a new log for a process of this name; earlier logs of the same run stay."""
+        """Return a new log for a process of this name. Earlier logs of the same run are kept."""
         self.folder.mkdir(parents=True, exist_ok=True)
         stem = name.replace("/", "_")
         path = next(
@@ -85,13 +85,13 @@ class ProcessContext:
 
 
 class StatusLine:
-    """Tells people a line when it changes, and keeps it."""
+    """Status line of a process, reported and recorded when it changes."""
 
     def __init__(self, context: ProcessContext, process_log: ProcessLog) -> None:
         self._context, self._process_log, self._last = context, process_log, ""
 
     def say(self, line: str) -> None:
-        """Say a line unless the last one was the same but for its numbers; nothing for an empty one."""
+        """Report a line unless it equals the last one except for numbers. An empty line reports nothing."""
         if (gist := _NUMBERS.sub("", line)) != self._last:
             self._last = gist
             if line:
@@ -100,13 +100,16 @@ class StatusLine:
 
 
 class HeartbeatTimer:
-    """When a process sends its next heartbeat: every `HEARTBEAT_S`, and at once if its clock was set back."""
+    """Timer of heartbeats: one every `HEARTBEAT_S`.
+
+    A heartbeat is also due at once when the clock was set back.
+    """
 
     def __init__(self) -> None:
         self._last_s = -math.inf
 
     def due(self, now_s: float) -> bool:
-        """Whether it is time for one, which is then taken as given."""
+        """Return whether a heartbeat is due, and restart the timer if so."""
         if 0 <= now_s - self._last_s < HEARTBEAT_S:
             return False
         self._last_s = now_s

@@ -1,18 +1,18 @@
-"""The computer of one robot without sockets: messages and clock readings in, wheel speeds out.
+"""Decisions of one robot without I/O: messages and clock readings in, wheel speeds out.
 
-The control law is the simulator's (`GoalFollowers`, a team of one). The safety rules surround it. Wheels turn
-only while all of these conditions hold, and the first that fails is the reason that the robot reports:
+The control law is the simulator's (`GoalFollowers`, a team of one), and the safety rules surround it. Wheels
+turn only while all of these conditions hold. The robot reports the first condition that fails:
 
 - no stop is in force, and an arm command armed the robot for its current session (`skyherd.live.stop_latch`);
 - no other process uses the robot's name;
-- the robot's clock runs forwards, without a gap between two decisions;
-- a goal is fresh: its image is at most `goal_timeout_s` old, by clocks that were compared (the watchdog
-  against stale goals);
-- a unit saw the robot's marker within `unseen_s`, and none saw it at two places since;
-- a unit's message was sent after the robot's process started or woke up. It carries the stop number.
+- the robot's clock is monotonic, without a gap between two decisions;
+- a goal is fresh: its image is at most `goal_timeout_s` old, by compared clocks. This is the watchdog against
+  stale goals;
+- a unit saw the robot's marker within `unseen_s`, and no unit has seen it at two places since;
+- a unit sent a message after the robot's process started or woke up. It carries the stop number.
 
-The speeds are within the limits, whatever came in, and grow by no more than the limits of acceleration allow.
-A stop is not limited: zero is zero at once, and brakes are the drive's.
+Speeds stay within the limits for any input, and their magnitude grows no faster than the acceleration limits.
+Stopping is not limited: the command is zero at once, and the drive brakes.
 """
 
 import math
@@ -22,13 +22,14 @@ import numpy as np
 
 from skyherd.control import (
     AvoidanceRule,
-    DeadReckoning,
     GoalFollowers,
     GoalInboxes,
+    LatencyCompensation,
     NeighborMemory,
     RobotLaw,
     Wheels,
 )
+from skyherd.live.drivers.driver import HOLD_S
 from skyherd.live.drivers.limits import Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Motion
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
@@ -38,28 +39,28 @@ from skyherd.messages import MotionGoals, Proximity, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
 FUTURE_S = 0.05
-"""An image may seem to be taken this much after now, beyond the uncertainty of the clocks, s. Chosen: less
-than the time between two images; more than what the estimate of an offset moves between two messages."""
+"""Largest apparent lead of an image over now, beyond the clocks' uncertainty, s. Chosen: below the frame
+interval, and above the change of an offset estimate between two messages."""
 
 MAX_GAP_S = 1.0
-"""Longest time between two decisions of a process that did not sleep and whose clock was not set, s. Chosen:
-ten times the usual time, and longer than a busy machine lets a process wait."""
+"""Longest time between two decisions without suspecting a sleep or a set clock, s. Chosen: ten periods, and
+above the scheduling delays of a busy machine."""
 
 DRIVING = "driving"
-"""The reason that is reported while nothing stops the robot."""
+"""Reason reported while nothing stops the robot."""
 
 UNSEEN = "no unit sees its marker"
-"""The reason that is reported while the robot is outside all images."""
+"""Reason reported while the robot is outside all images."""
 
 
 @dataclass(frozen=True)
 class RobotLimits:
-    """What a robot may do, and how long without news.
+    """Limits and watchdog timeouts of a robot.
 
     Attributes:
-        speeds: limits of speed, turn rate and their growth.
-        goal_timeout_s: age of an image, by the robot's clock, up to which the goal from it is followed.
-        unseen_s: time after which a marker that no unit has seen counts as outside all images.
+        speeds: limits of speed, turn rate and acceleration.
+        goal_timeout_s: age of an image, on the robot's clock, above which its goal is stale.
+        unseen_s: time without a sighting after which the marker counts as outside all images.
     """
 
     speeds: SpeedLimits
@@ -72,14 +73,14 @@ class RobotLimits:
 
 @dataclass(frozen=True)
 class Order:
-    """What the wheels are told, and why.
+    """A wheel command with its reason.
 
     Attributes:
         v_mps: forward speed.
         omega_radps: turn rate.
-        reason: `DRIVING`, or what holds the wheels still.
-        wanted_v_mps: speed that the law asks for; what would happen if the robot were armed and safe.
-        wanted_omega_radps: turn rate that it asks for.
+        reason: `DRIVING`, or the reason why the robot stands still.
+        wanted_v_mps: forward speed of the control law, before the safety rules.
+        wanted_omega_radps: turn rate of the control law, before the safety rules.
     """
 
     v_mps: float
@@ -90,25 +91,25 @@ class Order:
 
 
 class RobotCore:
-    """One robot, from the messages that it hears to the speeds of its wheels.
+    """Decisions of one robot, from received messages to wheel commands.
 
-    Its decisions follow from the calls alone, so that a recording of the calls gives the same decisions.
+    Decisions depend only on the calls, so that a replay of recorded calls reproduces them.
 
     Attributes:
-        robot_id: the marker.
-        clocks: what it knows of the other processes' clocks.
+        robot_id: id of its marker.
+        clocks: estimated offsets of the other processes' clocks.
 
     Args:
         robot_id: as the attribute.
         unit_ids: the units that may send goals.
-        law: the robots' gains.
-        wheels: what the drive can do.
-        limits: what it may do.
+        law: control law with its gains.
+        wheels: kinematics and limits of the drive.
+        limits: speed limits and watchdog timeouts.
         side_m: side of its marker.
-        delay_s: time from a command to its effect.
-        clock_limits: when another clock is not trusted.
-        other_ids: robots and obstacles that may be near; empty for robots that do not avoid each other.
-        avoidance: how it keeps apart from them; None where it does not.
+        delay_s: latency of the drive, from a command to its effect.
+        clock_limits: limits of trust in another clock.
+        other_ids: robots and obstacles to avoid; empty without avoidance.
+        avoidance: rule of collision avoidance; None without avoidance.
     """
 
     def __init__(
@@ -142,25 +143,25 @@ class RobotCore:
 
     @property
     def armed(self) -> bool:
-        """Whether an arm command is in force."""
+        """True while an arm command is in force."""
         return self._arm_state.armed
 
     @property
     def latch(self) -> StopLatch:
-        """The commands that the robot knows of."""
+        """Commands known to the robot."""
         return self._arm_state.latch
 
     @property
     def session(self) -> str:
-        """The session that an arm command has to name: start time, and number of times disarmed since."""
+        """Session that an arm command must name: start time, and number of times disarmed since."""
         return "" if self._started_s is None else f"{self._started_s:.6f}/{self._arm_state.disarmed_count}"
 
     def receive(self, envelope: Envelope, now_s: float) -> None:
-        """Take in a message that arrives now. No content raises an error."""
+        """Process a message that arrives now. No content raises an error."""
         message = envelope.message
         self._arm_state = self._arm_state.merge(envelope.latch)
         if isinstance(message, Stop):
-            # Also a stop with an old number disarms: its sender may not know the newest number yet.
+            # A stop with an old number disarms too: its sender may not know the newest number yet.
             self._arm_state = self._arm_state.disarm()
             return
         if not math.isfinite(now_s):
@@ -183,19 +184,19 @@ class RobotCore:
         return self._conflict(now_s) is None and self._is_seen(now_s)
 
     def heartbeat(self, now_s: float, state: str) -> Heartbeat:
-        """Return a sign of life of this robot."""
+        """Return the next heartbeat of this robot."""
         heard, ready = self.clocks.heard(now_s), self.is_ready(now_s)
         return Heartbeat(heard, state, self.session, self.armed, ready)
 
     def image_age_s(self, now_s: float) -> float | None:
-        """Return the age of the newest image that a goal came from, s, or None without a goal."""
+        """Return the age of the newest image with a goal, s, or None without a goal."""
         newest_s = float(self._team.inboxes.imaged_s.max())
         return now_s - newest_s if math.isfinite(newest_s) else None
 
     def decide(self, now_s: float) -> Order:
         """Return the next wheel command. Called periodically, also without new messages."""
         if not math.isfinite(now_s):
-            return self._stopped("its own clock shows no time")
+            return self._stopped("its own clock has no finite time")
         if self._started_s is None:
             self._started_s = self._woke_s = now_s
         before_s, self._decided_s = self._decided_s, now_s
@@ -204,16 +205,17 @@ class RobotCore:
             self._forget()
             self._doubled_s = now_s if was_doubled else self._doubled_s
             self._woke_s, self._heard_since_woken = now_s, False
-            return self._stopped(f"its own clock moved by {now_s - before_s:+.3g} s between two decisions")
+            return self._stopped(f"its own clock jumped by {now_s - before_s:+.3g} s between two decisions")
         orders = self._team.decide(now_s, [])
         v_mps, omega_radps = float(orders.command.v_mps[0]), float(orders.command.omega_radps[0])
         if reason := self._stop_reason(now_s):
             return self._stopped(reason, v_mps, omega_radps, now_s)
-        told = self._limiter.limit(Motion(v_mps, omega_radps), 0.0 if before_s is None else now_s - before_s)
-        self._record(told, now_s)
+        passed_s = 0.0 if before_s is None else now_s - before_s
+        limited = self._limiter.limit(Motion(v_mps, omega_radps), passed_s)
+        self._record(limited, now_s)
         return Order(
-            v_mps=told.forward_mps,
-            omega_radps=told.turn_radps,
+            v_mps=limited.forward_mps,
+            omega_radps=limited.turn_radps,
             reason=DRIVING,
             wanted_v_mps=v_mps,
             wanted_omega_radps=omega_radps,
@@ -230,11 +232,11 @@ class RobotCore:
         if not self._is_seen(now_s):
             return UNSEEN
         if not self._heard_since_woken:
-            return "no message of a unit since the process started or woke up"
+            return "no message from a unit since the process started or woke up"
         return None if self.armed else "disarmed"
 
     def _conflict(self, now_s: float) -> str | None:
-        """Return why it is unknown which robot the units see, or None."""
+        """Return the reason why the robot's identity is ambiguous, or None."""
         if now_s - self._namesake_s <= CONFLICT_S:
             return f"another process is named {self.name}"
         if now_s - self._doubled_s <= self.limits.unseen_s:
@@ -256,14 +258,14 @@ class RobotCore:
         )
 
     def _record(self, motion: Motion, now_s: float) -> None:
-        """Remember what the wheels are truly told, which takes the place of what the law asked for."""
-        told = np.array([motion.forward_mps]), np.array([motion.turn_radps])
-        self._motion.record(VelocityCommand(np.array([self.robot_id]), *told), now_s)
+        """Record the command sent to the wheels, for latency compensation, instead of the law's command."""
+        speeds = np.array([motion.forward_mps]), np.array([motion.turn_radps])
+        self._motion.record(VelocityCommand(np.array([self.robot_id]), *speeds), now_s)
 
     def _hear_unit(self, message: MotionGoals | Proximity | Sighting, sender: str, now_s: float) -> None:
-        """Take in news of an image, if its time by our clock is known and can be."""
+        """Process a message about an image, if the time of the image on our clock is known and plausible."""
         if message.unit_id not in self._units:
-            self._refused = f"{sender} is no unit of this team"
+            self._refused = f"{sender} is not a unit of this team"
             return
         if why := self.clocks.distrust(sender, now_s):
             self._refused = why
@@ -293,36 +295,37 @@ class RobotCore:
             self._team.neighbors.receive(self.clocks.in_our_time(message, sender, now_s), mine)
 
     def _forget(self) -> None:
-        """Start with empty inboxes, as after the start."""
+        """Reset goals, sightings and motion to the state after the start."""
         ids = np.array([self.robot_id])
         inboxes = GoalInboxes(
             ids, np.array(self._units), self.limits.goal_timeout_s, distances=self._law.needs_distances
         )
-        self._motion = DeadReckoning(
+        self._motion = LatencyCompensation(
             1,
             self._side_m,
             axis_offset_m=self._wheels.axis_offset_m,
             delay_s=self._delay_s,
             memory_s=self.limits.goal_timeout_s + FUTURE_S,
+            hold_s=HOLD_S,
         )
         self._limiter.last = STILL
         self._seen_s = self._doubled_s = -math.inf
         neighbors = None
         if self._avoidance is not None:
             bodies = np.array(sorted({self.robot_id, *self._other_ids}))
-            neighbors = NeighborMemory(ids, bodies, self._avoidance.lifetime_s)
+            neighbors = NeighborMemory(ids, bodies, self._avoidance.lifetime_s, self._motion)
         self._team = GoalFollowers(
             inboxes,
             self._law,
             self._wheels,
             neighbors=neighbors,
             avoidance=self._avoidance,
-            motion=self._motion,
+            latency_compensation=self._motion,
         )
 
 
 def _only(goals: MotionGoals, mine: np.ndarray) -> MotionGoals:
-    """The goals of the robots of a mask alone."""
+    """Return the goals of the robots selected by a mask."""
     return MotionGoals(
         unit_id=goals.unit_id,
         time_s=goals.time_s,

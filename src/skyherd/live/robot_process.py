@@ -1,4 +1,4 @@
-"""A robot's process: goals in, wheel commands out, by a driver."""
+"""Process of a robot: goals in, wheel commands out through a driver."""
 
 import time
 from contextlib import ExitStack
@@ -13,23 +13,22 @@ from skyherd.live.wire import Wheels
 from skyherd.messages import MotionGoals, VelocityCommand
 
 HEARS = ("goals/**", "proximity/**", "sighting/**", "heartbeat/unit/*", "arm/**", "stop/**")
-"""Topics that a robot listens to, after the team's name, beside the heartbeats in its own name."""
+"""Topics that a robot listens to, after the team's name, besides heartbeats under its own name."""
 
 MIN_SHARE = 0.2
-"""Share of a period that a robot lets pass between two decisions at least. Chosen: goals of several units
-come one after the other, and each is decided on at once or a few hundredths of a second later; a tenth would
-have a robot under many cameras do little else."""
+"""Shortest time between two decisions, as a share of the period. Chosen: goals of several units arrive in
+bursts. At 0.1, decisions would occupy a robot under many cameras."""
 
 
 class DecisionTimer:
-    """When a robot decides: once a period, and as soon as there are news, but not much more often.
+    """Timer of a robot's decisions: once a period, and soon after each new goal.
 
     Attributes:
-        due_s: when it decides the next time.
+        due_s: time of the next decision.
 
     Args:
         period_s: longest time between two decisions.
-        now_s: now, by any clock that runs steadily.
+        now_s: current time on any monotonic clock.
     """
 
     def __init__(self, period_s: float, now_s: float) -> None:
@@ -37,39 +36,39 @@ class DecisionTimer:
         self._period_s = period_s
 
     def hear(self, arrival: Arrival, robot_id: int, now_s: float) -> None:
-        """A message arrived: a goal for this robot is worth a decision of its own."""
+        """Advance the next decision if the message is a goal for this robot."""
         message = arrival.envelope.message
         if isinstance(message, MotionGoals) and robot_id in message.ids:
             soonest_s = self._decided_s + MIN_SHARE * self._period_s
             self.due_s = min(self.due_s, max(now_s, soonest_s))
 
     def decided(self, now_s: float) -> None:
-        """The robot has decided."""
+        """Schedule the next decision after a decision made now."""
         self._decided_s = now_s
         self.due_s = max(self.due_s + self._period_s, now_s)
 
 
 class WorldWheels:
-    """A link to the wheels of a simulated robot."""
+    """Link to the wheels of a simulated robot."""
 
     def __init__(self, mailbox: Mailbox, robot_id: int) -> None:
         self.name, self._mailbox, self._robot_id = "world", mailbox, robot_id
 
     def write(self, motion: Motion) -> None:
-        """Send it to the world."""
+        """Send a motion to the simulated world."""
         self._mailbox.send(Wheels(self._robot_id, motion.forward_mps, motion.turn_radps))
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: the mailbox belongs to the process."""
 
 
 def run_robot(context: ProcessContext, robot_id: int, *, dry_run: bool = False) -> None:
-    """Be one robot until `context.ended`; wheels are told to stand still on the way out, whatever happens.
+    """Run one robot until `context.ended()`. The wheels stop at the end, also after an error.
 
     Args:
-        context: what the process has.
-        robot_id: the robot's marker.
-        dry_run: print commands in place of sending them.
+        context: resources of the process.
+        robot_id: id of the robot's marker.
+        dry_run: print commands instead of sending them.
     """
     lab, clock = context.lab, context.clock
     core = lab.make_robot(robot_id)
@@ -104,7 +103,7 @@ def run_robot(context: ProcessContext, robot_id: int, *, dry_run: bool = False) 
 
 
 def _line(name: str, order: Order, trouble: str | None) -> str:
-    """What a robot says to people when it changes."""
+    """Return the status line of a robot."""
     return f"{name}: {order.reason}{f'; {trouble}' if trouble else ''}"
 
 

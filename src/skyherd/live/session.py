@@ -1,4 +1,4 @@
-"""`skyherd live run`: all processes of a lab on this machine, one log, and a dashboard with a stop."""
+"""`skyherd live run`: all processes of a lab on this machine, with one log and a dashboard."""
 
 import math
 import os
@@ -29,16 +29,16 @@ from skyherd.live.zenoh_radio import ZenohRadio
 from skyherd.text import printable
 
 REFRESH_HZ = 4.0
-"""Rate at which the dashboard is drawn, 1/s."""
+"""Refresh rate of the dashboard, Hz."""
 
 MAX_KEYS = 1024
-"""Keys that are read at a time. Chosen: more than anybody presses within a drawing of the dashboard."""
+"""Largest number of keys read at once. Chosen: more than a person presses within a refresh period."""
 
 SESSION = "session"
-"""Name of the process that runs a lab."""
+"""Process name of the session that runs a lab."""
 
 LINES = 12
-"""Lines of the log that the dashboard shows."""
+"""Number of log lines on the dashboard."""
 
 
 def run_session(
@@ -55,28 +55,28 @@ def run_session(
     say: Callable[[str], None],
     ended: Callable[[], bool] = lambda: False,
 ) -> int:
-    """Run a lab until it is asked to end, and while units and robots are left.
+    """Run a lab until `ended()`, its duration is over, or no unit or no robot is left.
 
     Args:
         lab: the set-up.
-        lab_file: the file that it was read from, for the processes.
-        folder: where everything is recorded; it is made, and must not exist.
-        cameras: addresses that replace those of the lab.
+        lab_file: file of the lab, which the processes read too.
+        folder: new folder of all recordings; it must not exist.
+        cameras: camera addresses that replace those of the lab.
         dry_run: send nothing to robots.
         armed: arm the robots once all of them are ready.
-        duration_s: end after this time.
-        settings: settings that were put over the lab, for the processes.
+        duration_s: duration of the run, or None.
+        settings: settings that override the lab, passed on to the processes.
         insecure: allow a radio beyond this machine without TLS.
         say: prints a line.
-        ended: asked several times a second; True ends the run. It is the only way to interrupt a run, so that
-            the processes are ended in order however often a signal comes.
+        ended: called several times a second; True ends the run. Signals act only through it, so that repeated
+            signals do not interrupt the shutdown.
 
     Returns:
-        The exit code: 2 if a process refused its input, 1 if a process is left, else 0.
+        The exit code: 2 if a process refused its input, 1 if a process survives, else 0.
 
     Raises:
-        InputError: a camera or a driver cannot be used, the folder exists, an address in `cameras` is empty,
-            their number differs from that of the lab's cameras, the duration is not positive, or another
+        InputError: a camera or a driver cannot be used, or the folder exists. An address in `cameras` is
+            empty, or their number differs from the lab's cameras. The duration is not positive. Another
             process on this machine runs the team.
     """
     _check_options(lab, cameras, duration_s)
@@ -99,37 +99,37 @@ def run_session(
         try:
             _start_all(supervisor, lab, lab_file, cameras, options)
             with _keys() as key, _display(console if shows else None) as draw:
-                while not ended() and time.monotonic() < end_s and not _gone(supervisor):
+                while not ended() and time.monotonic() < end_s and not _end_reason(supervisor):
                     supervisor.tend()
                     session.step(key(), 1 / REFRESH_HZ)
                     draw(_page(lab, watched, supervisor, lines))
             if ended():
-                supervisor.say("live", "asked to end")
+                supervisor.say("live", "interrupted; ending all processes")
         finally:
             operator.stop(lab, watched, "the end", 0.3)
-            last_words = _last_words(supervisor)
-            for line in last_words:
+            closing_lines = _closing_lines(supervisor)
+            for line in closing_lines:
                 supervisor.say("live", line)
             left = supervisor.end()
             radio.close()
-    last_words += [f"still running: {', '.join(left)}"] if left else []
-    for line in last_words if shows else []:
+    closing_lines += [f"still running: {', '.join(left)}"] if left else []
+    for line in closing_lines if shows else []:
         say(line)
-    say(f"recorded in {folder}; `skyherd report {folder}` makes a page of it")
+    say(f"recorded in {folder}; `skyherd report {folder}` makes a report")
     return WRONG if supervisor.refused else int(bool(left))
 
 
 class Session:
-    """The operator within a run: it obeys keys, arms the robots once, and keeps the team's stop number.
+    """Operator within a run: it handles keys, arms the robots once, and repeats the team's stop number.
 
     Args:
         lab: the set-up.
-        watched: what it has heard.
-        tell: called with a name and a line for people.
-        arms: arm the robots once all of them are ready. A stop from anywhere cancels that.
+        watched: the operator's view of the team.
+        tell: called with a process name and a line for people.
+        arms: arm the robots once all of them are ready. A stop from any operator cancels that.
 
     Attributes:
-        arms: whether it still waits for all robots to be ready.
+        arms: True while it waits for all robots to be ready.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class Session:
         self._known_stop = watched.latch.stop
 
     def step(self, pressed: str, timeout_s: float) -> None:
-        """Take in messages for a while, obey a key, and go on with what is under way."""
+        """Process messages for up to `timeout_s`, handle a key, and continue the current command."""
         watched = self._watched
         if pressed == " ":
             self._begin("stopped", StopCommand(self._lab, watched, "space bar"), operator.SETTLE_S)
@@ -152,7 +152,7 @@ class Session:
             self._known_stop = watched.latch.stop
             if self.arms:
                 self.arms = False
-                self._tell("live", "the team was stopped: robots are not armed until the key a is pressed")
+                self._tell("live", "the team was stopped: press a to arm the robots")
         if pressed == "a":
             self._begin("armed", ArmCommand(self._lab, watched), operator.SETTLE_S)
         elif self.arms and self._all_ready():
@@ -161,18 +161,18 @@ class Session:
         self._advance()
         if SESSION in watched.signs and not self._met_other:
             self._met_other = True
-            self._tell("live", "another `live run` of this team is alive on another machine: end one of them")
+            self._tell("live", "another `live run` of this team runs on another machine: end one of them")
         if watched.clock() - self._beaten_s >= HEARTBEAT_S:
-            # Its heartbeat carries the stop number to processes that restart.
+            # The heartbeat carries the stop number to restarted processes.
             self._beaten_s = watched.clock()
             watched.mailbox.send(Heartbeat({}, "runs the lab"))
 
     def _begin(self, word: str, command: Command, settle_s: float) -> None:
-        """Begin a command, which replaces one that is under way."""
+        """Begin a command, which replaces the current one."""
         self._running = word, command, self._watched.clock() + settle_s
 
     def _advance(self) -> None:
-        """Go on with the command that is under way, and report it when it is done."""
+        """Continue the current command, and report its result when it is finished."""
         if self._running is None:
             return
         word, command, end_s = self._running
@@ -188,34 +188,34 @@ class Session:
 
 
 def outcome_lines(word: str, outcome: operator.Outcome) -> list[str]:
-    """Return the result of a command in lines: the robots that did it, and the state of the others."""
+    """Return the result of a command as lines: robots that confirmed it, and the state of the others."""
     lines = [f"{word}: {', '.join(map(str, outcome.done)) or 'none'}"]
     lines += [f"NOT {word}: {outcome.failure}"] if outcome.failure else []
     return lines + [f"NOT {word}: robot {robot}: {state}" for robot, state in outcome.missing.items()]
 
 
 def _process_options(folder: Path, settings: Sequence[str], *, insecure: bool, dry_run: bool) -> list[str]:
-    """Options that all processes of a run are started with."""
+    """Return the command line options of all processes of a run."""
     options = ["--out", str(folder), "--supervised", *["--insecure"] * insecure, *["--dry-run"] * dry_run]
     return options + [part for setting in settings for part in ("--set", setting)]
 
 
-def _gone(supervisor: Supervisor) -> str:
-    """What a lab needs and no longer has: its last unit or robot has ended for good. Empty if it has both."""
+def _end_reason(supervisor: Supervisor) -> str:
+    """Return a message if all units or all robots have ended for good, else an empty string."""
     return next(
-        (f"no {kind} is left" for kind in ("unit", "robot") if not supervisor.goes_on(f"{kind}/")), ""
+        (f"no {kind} is left" for kind in ("unit", "robot") if not supervisor.is_active(f"{kind}/")), ""
     )
 
 
-def _last_words(supervisor: Supervisor) -> list[str]:
-    """Why a run ends, and which processes were given what is wrong."""
+def _closing_lines(supervisor: Supervisor) -> list[str]:
+    """Return the reason why a run ends, and the processes that refused their input."""
     refused = ", ".join(supervisor.refused)
-    words = f"ended with code {WRONG}: {refused}; live.log says what is wrong" if refused else ""
-    return [line for line in (_gone(supervisor), words) if line]
+    words = f"ended with code {WRONG}: {refused}; see live.log for the errors" if refused else ""
+    return [line for line in (_end_reason(supervisor), words) if line]
 
 
 def _check_addresses(lab: Lab, lab_file: str, cameras: Sequence[str], *, dry_run: bool) -> None:
-    """Refuse cameras that are not on this machine, and drivers that cannot be; see `run_session`."""
+    """Refuse cameras that this machine lacks, and invalid drivers; see `run_session`."""
     if not dry_run:
         check_drivers(lab.model, lab_file, imports=True)
     for unit, address in enumerate(cameras or [camera.address for camera in lab.model.cameras]):
@@ -228,7 +228,7 @@ def _check_addresses(lab: Lab, lab_file: str, cameras: Sequence[str], *, dry_run
 
 
 def _check_options(lab: Lab, cameras: Sequence[str], duration_s: float | None) -> None:
-    """Refuse options that mean nothing; see `run_session`."""
+    """Refuse invalid options; see `run_session`."""
     count = len(lab.model.cameras)
     for number, address in enumerate(cameras, 1):
         if not address.strip():
@@ -248,12 +248,12 @@ def _check_options(lab: Lab, cameras: Sequence[str], duration_s: float | None) -
 
 
 def _make_folder(folder: Path | None, lab: Lab) -> Path:
-    """A new folder for a run: the one that was asked for, or one named after the team and the time."""
+    """Make the folder of a run: the given one, or one named after the team and the time."""
     folder = folder or Path("runs") / f"{lab.model.team}-{time.strftime('%Y%m%d-%H%M%S')}"
     try:
         folder.mkdir(parents=True)
     except OSError as error:
-        raise InputError(str(folder), error.strerror or str(error), "a folder that is not there") from None
+        raise InputError(str(folder), error.strerror or str(error), "a folder that does not exist") from None
     return folder
 
 
@@ -269,15 +269,15 @@ def _start_all(
 
 
 def _page(lab: Lab, watched: operator.Watch, supervisor: Supervisor, lines: Sequence[str]) -> Group:
-    """The dashboard."""
+    """Return the dashboard."""
     alive = watched.alive()
     armed = sum(heartbeat.armed for heartbeat in alive.values())
     table = Table(box=None, header_style="bold")
-    for column in ("process", "starts", "armed", "what it says"):
+    for column in ("process", "starts", "armed", "state"):
         table.add_column(column)
     for child in supervisor.children:
         heartbeat = alive.get(child.name)
-        says = "no sign of life" if heartbeat is None else printable(heartbeat.state)
+        says = "no heartbeat" if heartbeat is None else printable(heartbeat.state)
         says = f"two processes are named {child.name}" if watched.is_ambiguous(child.name) else says
         mark = "" if heartbeat is None or not heartbeat.session else "ARMED" if heartbeat.armed else "no"
         table.add_row(child.name, str(child.restarts + 1), mark, Text(says))
@@ -289,7 +289,7 @@ def _page(lab: Lab, watched: operator.Watch, supervisor: Supervisor, lines: Sequ
 
 @contextmanager
 def _display(console: Console | None) -> Iterator[Callable[[Group], None]]:
-    """A place to draw the dashboard; nowhere without a terminal."""
+    """Yield the function that draws the dashboard. It does nothing without a terminal."""
     if console is None:
         yield lambda page: None
         return
@@ -299,13 +299,16 @@ def _display(console: Console | None) -> Iterator[Callable[[Group], None]]:
 
 @contextmanager
 def _keys() -> Iterator[Callable[[], str]]:
-    """The key that was pressed since the last call, or an empty text; none without a terminal.
+    """Yield a function that returns the key pressed since the last call, or an empty string.
 
-    Of several keys the last one counts, unless the space bar is among them: a stop is never lost. They are
-    read past Python's buffer, in which `select` would not see those that came together with another.
+    Of several keys the last one counts, but the space bar has priority: no stop is lost. Without a terminal
+    no key is returned.
     """
-    if not sys.stdin.isatty() or sys.platform == "win32":
+    if not sys.stdin.isatty():
         yield lambda: ""
+        return
+    if sys.platform == "win32":
+        yield _windows_key
         return
     import termios
     import tty
@@ -315,6 +318,7 @@ def _keys() -> Iterator[Callable[[], str]]:
 
     def pressed() -> str:
         ready, _, _ = select.select([sys.stdin], [], [], 0)
+        # os.read bypasses Python's buffer: select would not see keys that the buffer holds.
         keys = os.read(sys.stdin.fileno(), MAX_KEYS).decode(errors="replace") if ready else ""
         return " " if " " in keys else keys[-1:]
 
@@ -322,3 +326,14 @@ def _keys() -> Iterator[Callable[[], str]]:
         yield pressed
     finally:
         termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+
+
+def _windows_key() -> str:
+    """Return the last key that was pressed at a Windows console since the last call, or the space bar."""
+    keys = ""
+    if sys.platform == "win32":
+        import msvcrt
+
+        while msvcrt.kbhit() and len(keys) < MAX_KEYS:
+            keys += msvcrt.getwch()
+    return " " if " " in keys else keys[-1:]

@@ -1,17 +1,16 @@
-"""The latched stop of a live team: two numbers that every message carries, and that only grow.
+"""The latched stop of a live team: two monotonically increasing numbers in every message.
 
-Each stop has a number. Every process keeps the largest stop number that it knows and the largest one that an
-arm command has cleared (`StopLatch`). It sends both with every message, and takes the maximum of each from
-every message. Lost, late, repeated and reordered messages therefore change nothing but the time at which a
-process learns a number.
+Each stop has a number. Every process keeps the largest known stop number and the largest one that an arm
+command has cleared (`StopLatch`). It sends both with every message, and takes the maximum of each from
+every message. Message loss, latency, repetition and reordering affect only the time at which a process learns
+a number.
 
 - The team is *stopped* while the newest stop is not cleared.
-- A stop gets a number above all that its sender knows, and at least the sender's time of day in
-  milliseconds: an operator that has just started outranks all earlier commands.
-- An arm command clears the newest stop that its sender knows, and no other: nobody overrides a stop in
-  ignorance of it.
-- A robot is armed (`ArmState`) until it learns of a stop that its arm command did not clear. A robot that
-  restarts is disarmed, and arm commands for its former session have no effect.
+- The number of a stop exceeds all numbers that its sender knows, and is at least the sender's time of day in
+  milliseconds. An operator that has just started therefore outranks all earlier commands.
+- An arm command clears only the newest stop that its sender knows. It never overrides an unknown stop.
+- A robot is armed (`ArmState`) until it learns of a stop that its arm command did not clear. A restarted
+  robot is disarmed, and arm commands for its former session have no effect.
 
 docs/live/safety.md lists states, transitions and guarantees. tests/live/test_stop_model.py checks them over
 every order of delivery.
@@ -21,16 +20,16 @@ from dataclasses import dataclass, replace
 
 MAX_STOP = 2**53 - 1
 """Largest stop number, which no arm command clears. Derived: every JSON reader keeps integers up to it.
-Milliseconds since 1970 reach it in 285,000 years, so that only a forged message does."""
+Milliseconds since 1970 reach it in 285,000 years, so that only forged messages contain it."""
 
 
 @dataclass(frozen=True)
 class StopLatch:
-    """The commands that one process knows of.
+    """Commands known to one process.
 
     Attributes:
         stop: largest stop number; 0 without a stop.
-        cleared: largest stop number that an arm command cleared.
+        cleared: largest stop number that an arm command has cleared.
     """
 
     stop: int = 0
@@ -38,7 +37,7 @@ class StopLatch:
 
     @property
     def stopped(self) -> bool:
-        """Whether a stop is in force: no unit sends goals, and no robot moves."""
+        """True while a stop is in force: no unit sends goals, and no robot moves."""
         return self.stop > self.cleared
 
     def merge(self, other: "StopLatch") -> "StopLatch":
@@ -51,22 +50,22 @@ class StopLatch:
         return replace(self, stop=min(number, MAX_STOP))
 
     def with_arm(self) -> "StopLatch":
-        """Return the latch after a new arm command. `MAX_STOP` stays in force."""
+        """Return the latch after a new arm command. A stop numbered `MAX_STOP` stays in force."""
         return replace(self, cleared=max(self.cleared, min(self.stop, MAX_STOP - 1)))
 
 
 NO_COMMAND = StopLatch()
-"""The latch of a process that has heard of no command."""
+"""Latch of a process that knows of no command."""
 
 
 @dataclass(frozen=True)
 class ArmState:
-    """The state of one robot with respect to commands.
+    """Arm state of one robot.
 
     Attributes:
-        latch: the commands that the robot knows of.
-        armed_at: stop number that the arm command in force cleared; None while disarmed.
-        disarmed_count: how often the robot was disarmed, which is part of its session.
+        latch: commands known to the robot.
+        armed_at: stop number cleared by the arm command in force; None while disarmed.
+        disarmed_count: number of times the robot was disarmed, which is part of its session.
     """
 
     latch: StopLatch = NO_COMMAND
@@ -75,19 +74,19 @@ class ArmState:
 
     @property
     def armed(self) -> bool:
-        """Whether an arm command is in force."""
+        """True while an arm command is in force."""
         return self.armed_at is not None
 
     def merge(self, latch: StopLatch) -> "ArmState":
-        """Return the state after a message with this latch: a newer stop disarms."""
+        """Return the state after a message with this latch. A newer stop disarms."""
         state = replace(self, latch=self.latch.merge(latch))
         is_outdated = state.armed_at is not None and state.latch.stop > state.armed_at
         return state.disarm() if is_outdated else state
 
     def disarm(self) -> "ArmState":
-        """Return the disarmed state. A robot that was armed begins a new session."""
+        """Return the disarmed state. Disarming an armed robot begins a new session."""
         return replace(self, armed_at=None, disarmed_count=self.disarmed_count + 1) if self.armed else self
 
     def arm(self, cleared: int) -> "ArmState":
-        """Return the state after an arm command for this session; unchanged if a stop is newer."""
+        """Return the state after an arm command for this session, unchanged if a newer stop is known."""
         return replace(self, armed_at=cleared) if cleared >= self.latch.stop else self

@@ -1,4 +1,4 @@
-"""All processes of a lab on one machine: started, restarted when they crash, and ended together."""
+"""Supervision of all processes of a lab on one machine: start, restart after a crash, and shutdown."""
 
 import subprocess
 import sys
@@ -13,36 +13,35 @@ from typing import IO
 from skyherd.text import printable
 
 FIRST_WAIT_S, MAX_WAIT_S = 0.5, 8.0
-"""Pause before a process that crashed is started again, doubled each time up to the second, s. Chosen: a
-short break costs little, and what crashes at once does not keep the machine busy."""
+"""First and longest pause before a restart after a crash, s; each pause doubles. Chosen: a short outage costs
+little, and repeated crashes do not keep the machine busy."""
 
 STEADY_S = 10.0
-"""A process that ran for so long before it crashed is started again after the first pause, s."""
+"""Run time after which a crash is followed by the first pause again, s. Chosen: 20 first pauses."""
 
 END_S = 10.0
-"""How long processes have to end when they are asked to, before they are killed, s. Chosen: wheels are told
-to stand still at once; the rest is a recording's last chunk."""
+"""Time for processes to end after SIGTERM, before SIGKILL, s. Chosen: robots stop their wheels at once, and
+the last chunk of a recording needs less."""
 
 KILL_S = 5.0
-"""Longest wait for a process that was killed, s. Chosen: the system ends it at once unless it waits for a
-device."""
+"""Longest wait for a killed process, s. Chosen: the operating system ends it at once, unless it waits for
+a device."""
 
 WRONG = 2
-"""Exit code of a process that was given what is wrong."""
+"""Exit code of a process that refused its input."""
 
 DONE = frozenset({0, WRONG, 129, 130, 143})
-"""Exit codes after which a process is not restarted: it is done, its input is wrong, or a signal (SIGHUP,
-SIGINT, SIGTERM) asked it to end."""
+"""Exit codes without a restart: success, wrong input, and the signals SIGHUP, SIGINT and SIGTERM."""
 
 
 @dataclass
 class Child:
-    """One process.
+    """One supervised process.
 
     Attributes:
         name: such as `robot/3`.
-        command: what starts it.
-        restarts: how often it was started again.
+        command: its command line.
+        restarts: number of restarts.
         process: the process; None between two starts.
         code: its last exit code; None while it runs.
     """
@@ -58,14 +57,14 @@ class Child:
 
 
 class Supervisor:
-    """Starts processes, keeps them running, and writes what they say into one log.
+    """Supervisor that starts processes, restarts them, and writes their output into one log.
 
-    Each has a pipe as its standard input whose other end this process holds: when this one ends, for
-    whatever reason, theirs reads to its end, and they end.
+    The standard input of each process is a pipe held by this process. When this process ends for any reason,
+    they read the end of the pipe and end too.
 
     Args:
-        log: file that every line goes to.
-        tell: is given every line as well, with the time and the name of its process before it.
+        log: file of all output lines.
+        tell: called with every line, prefixed with the time and the name of its process.
     """
 
     def __init__(self, log: Path, tell: Callable[[str], None] = lambda line: None) -> None:
@@ -74,7 +73,7 @@ class Supervisor:
         self._tell, self._lock = tell, threading.Lock()
 
     def add(self, name: str, arguments: Sequence[str]) -> None:
-        """Start `skyherd ARGUMENTS` under a name."""
+        """Start `skyherd ARGUMENTS` as the process of this name."""
         self.take(Child(name, [sys.executable, "-m", "skyherd", *arguments]))
 
     def take(self, child: Child) -> None:
@@ -83,7 +82,7 @@ class Supervisor:
         self._start(child)
 
     def tend(self) -> None:
-        """Look after the processes; called a few times a second."""
+        """Notice ended processes and restart crashed ones. Called a few times a second."""
         for child in self.children:
             if child.process is None:
                 if child.code not in DONE and time.monotonic() >= child.again_s:
@@ -102,20 +101,20 @@ class Supervisor:
             ran_s = time.monotonic() - child.started_s
             child.wait_s = FIRST_WAIT_S if ran_s >= STEADY_S else min(2 * child.wait_s, MAX_WAIT_S)
             child.again_s = time.monotonic() + child.wait_s
-            self.say(child.name, f"ended with code {code}; is started again in {child.wait_s:g} s")
+            self.say(child.name, f"ended with code {code}; restarts in {child.wait_s:g} s")
 
-    def goes_on(self, prefix: str = "") -> bool:
-        """Whether any process runs, or will again, whose name begins with `prefix`."""
+    def is_active(self, prefix: str = "") -> bool:
+        """Return whether a process whose name begins with `prefix` runs or will be restarted."""
         named = (child for child in self.children if child.name.startswith(prefix))
         return any(child.process is not None or child.code not in DONE for child in named)
 
     @property
     def refused(self) -> list[str]:
-        """Names of the processes that ended because what they were given is wrong."""
+        """Names of the processes that refused their input."""
         return [child.name for child in self.children if child.code == WRONG]
 
     def end(self) -> list[str]:
-        """Ask all processes to end, kill those that do not, and return the names of those still running."""
+        """End all processes, kill those that do not end in time, and return the names of survivors."""
         for child in self.children:
             if child.process is not None:
                 child.process.terminate()
@@ -129,7 +128,7 @@ class Supervisor:
                 child.process.kill()
                 with suppress(subprocess.TimeoutExpired):
                     child.process.wait(KILL_S)
-                self.say(child.name, "did not end, and was killed")
+                self.say(child.name, "did not end and was killed")
             if child.process.stdin is not None:
                 child.process.stdin.close()
             child.code = child.process.returncode
@@ -140,13 +139,16 @@ class Supervisor:
         return [child.name for child in self.children if child.process is not None]
 
     def say(self, name: str, line: str) -> None:
-        """Write a line of a process, or on it, into the log."""
+        """Write a line from or about a process into the log."""
         text = f"{time.strftime('%H:%M:%S')} {name:9} {printable(line)}"
         with self._lock:
             if not self._log.closed:
                 self._log.write(text + "\n")
                 self._log.flush()
-            self._tell(text)  # within the lock, so that lines of several processes are not glued together
+            # Within the lock, so that lines of several processes are not glued together. A terminal or pipe
+            # that is gone does not end the run.
+            with suppress(OSError):
+                self._tell(text)
 
     def _start(self, child: Child) -> None:
         child.code, child.started_s = None, time.monotonic()
@@ -157,7 +159,7 @@ class Supervisor:
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
-            start_new_session=True,  # Ctrl-C reaches this process alone, which then ends them in order
+            start_new_session=True,  # Ctrl-C reaches only this process, which then ends the others in order.
         )
         threading.Thread(target=self._read, args=(child.name, child.process.stdout), daemon=True).start()
 

@@ -1,10 +1,9 @@
-"""The computer of one aerial unit without sockets: detections, messages and clock readings in, messages out.
+"""Decisions of one aerial unit without I/O: detections, messages and clock readings in, messages out.
 
-The decisions are the simulator's (`AerialController`), and so is the team's time
-(`skyherd.control.TeamClock`), which stamps the units' reports: slots and turns are the same for all units,
-whatever their clocks show. Robots receive the time of the image by the unit's own clock, which they compare
-with theirs. A live unit leaves out reports with times that it does not trust, and images that are too old to
-decide on. While a stop is in force it sends no goals.
+The controller is the simulator's (`AerialController`). The team clock (`skyherd.control.TeamClock`) stamps
+the units' reports, so that slots and turns agree between units whose clocks differ. Messages to robots carry
+the time of the image on the unit's own clock, which each robot compares with its clock. A live unit ignores
+reports with untrusted times, and stale images. While a stop is in force it sends no goals.
 """
 
 import math
@@ -22,11 +21,11 @@ from skyherd.messages import Detections, UnitReport
 
 @dataclass(frozen=True)
 class UnitNews:
-    """A unit's decision on one image, and the messages that follow.
+    """A unit's decision on one image, and the resulting messages.
 
     Attributes:
-        decision: of its controller.
-        messages: to robots and units, in the order in which they are to be sent.
+        decision: decision of its controller.
+        messages: messages to robots and units, in the order of sending.
     """
 
     decision: Decision
@@ -34,21 +33,21 @@ class UnitNews:
 
 
 class UnitCore:
-    """One unit, from the markers in its images to the messages that it sends.
+    """Decisions of one unit, from the markers in its images to messages.
 
-    Its decisions follow from the calls alone, so that a recording of the calls gives the same decisions.
+    Decisions depend only on the calls, so that a replay of recorded calls reproduces them.
 
     Attributes:
         unit_id: its number.
-        clocks: what it knows of the other processes' clocks.
-        latch: the commands that it knows of.
-        trouble: why the last image was not decided on, or a report not used; empty if nothing is wrong.
+        clocks: estimated offsets of the other processes' clocks.
+        latch: commands known to the unit.
+        trouble: reason why the last image or report was not used; empty without one.
 
     Args:
         unit_id: as the attribute.
-        controller: decides.
-        oldest_s: age up to which an image is decided on.
-        clock_limits: when another clock is not trusted.
+        controller: makes the decisions.
+        oldest_s: age above which an image is stale.
+        clock_limits: limits of trust in another clock.
     """
 
     def __init__(
@@ -64,7 +63,7 @@ class UnitCore:
         self._woke_s, self._heard_since_woken = math.inf, False
 
     def withheld(self, now_s: float) -> str:
-        """Return why the unit sends no goals; empty if it does."""
+        """Return the reason why the unit sends no goals, or an empty string."""
         if self.latch.stopped:
             return "stopped"
         if now_s - self._namesake_s <= CONFLICT_S:
@@ -72,7 +71,7 @@ class UnitCore:
         return "" if self._heard_since_woken else "no heartbeat since the process started or woke up"
 
     def receive(self, envelope: Envelope, now_s: float) -> None:
-        """Take in a message that arrives now."""
+        """Process a message that arrives now."""
         self.latch = self.latch.merge(envelope.latch)
         if envelope.sender == self.name:
             self._namesake_s = now_s
@@ -97,12 +96,12 @@ class UnitCore:
             self._reports[message.unit_id] = message
 
     def heartbeat(self, now_s: float, state: str) -> Heartbeat:
-        """Return a sign of life of this unit."""
+        """Return the next heartbeat of this unit."""
         self._note_call(now_s)
         return Heartbeat(self.clocks.heard(now_s), state)
 
     def see(self, detections: Detections, now_s: float) -> UnitNews | None:
-        """Decide on the markers of an image with a time by this unit's clock; None if it is left out."""
+        """Decide on the markers of an image, stamped by this unit's clock. None for a rejected image."""
         self._note_call(now_s)
         age_s = now_s - detections.time_s
         if age_s > self._oldest_s:
@@ -112,7 +111,7 @@ class UnitCore:
             self.trouble = f"image {-age_s:.2g} s in the future"
             return None
         if detections.time_s <= self._imaged_s:
-            self.trouble = "image older than one before"
+            self.trouble = "image out of order: older than an earlier one"
             return None
         self.trouble = ""
         self._imaged_s = detections.time_s
@@ -129,14 +128,14 @@ class UnitCore:
         return UnitNews(decision, (sighting, *news, decision.report))
 
     def _note_call(self, now_s: float) -> None:
-        """Notice from the time since the last call that the process started, slept, or had its clock set."""
+        """Detect a start, a sleep or a clock reset from the time since the last call."""
         last_s, self._called_s = self._called_s, now_s
         if last_s is None or not 0 <= now_s - last_s <= max(MAX_GAP_S, self._oldest_s):
             self._woke_s, self._heard_since_woken = now_s, False
 
 
 def _stamped(decision: Decision, time_s: float) -> Decision:
-    """Return the decision by the unit's own time of the image; its report keeps the team's time."""
+    """Return the decision with the image time on the unit's own clock. The report keeps the team's time."""
     goals, proximity = decision.goals, decision.proximity
     return replace(
         decision,

@@ -1,4 +1,4 @@
-"""A unit's process: images in, goals for its robots out."""
+"""Process of a unit: images in, goals for its robots out."""
 
 import time
 from collections.abc import Callable
@@ -24,18 +24,18 @@ HEARS = ("report/**", "heartbeat/**", "arm/**", "stop/**")
 """Topics that a unit listens to, after the team's name."""
 
 NEWEST_S = 0.02
-"""Longest wait for an image before messages are looked at, s. Chosen: a fraction of the time between two."""
+"""Longest wait for an image before messages are processed, s. Chosen: a fraction of the frame interval."""
 
 
 def run_unit(
     context: ProcessContext, unit: int, *, address: str | None = None, dry_run: bool = False
 ) -> None:
-    """Be one unit until `context.ended`, or until its recorded video is over.
+    """Run one unit until `context.ended()`, or until the end of a recorded video.
 
     Args:
-        context: what the process has.
+        context: resources of the process.
         unit: its number.
-        address: of a camera in place of the lab's.
+        address: address of a camera instead of the lab's.
         dry_run: send no flight commands.
     """
     lab = context.lab
@@ -69,18 +69,18 @@ def run_unit(
 
 @dataclass
 class UnitAtWork:
-    """The steps of a unit's rounds: it listens, looks at its newest image, reports, and looks around.
+    """Steps of a unit's cycle: receive messages, process the newest image, report, search the rest.
 
     Attributes:
-        context: what the process has.
-        core: decides.
+        context: resources of the process.
+        core: makes the decisions.
         mailbox: its messages.
-        reader: of its camera.
-        detector: of markers.
-        fly: takes its flight commands.
+        reader: reader of its camera.
+        detector: marker detector.
+        fly: called with each flight command.
         process_log: its recording.
-        frame_log: makes the recording's pictures.
-        told: says lines to people.
+        frame_log: makes the preview images of the recording.
+        status: its status line.
     """
 
     context: ProcessContext
@@ -99,20 +99,20 @@ class UnitAtWork:
         self._mirrored = MirrorWatch(self.context.lab.model.markers.dictionary, self.context.clock)
 
     def listen(self) -> None:
-        """Take in what has come over the radio."""
+        """Process the messages received by radio."""
         for arrival in self.mailbox.fetch():
             self.process_log.heard(arrival)
             self.core.receive(arrival.envelope, arrival.received_s)
 
     def look(self, frame: Frame, trouble: str | None) -> str | None:
-        """Find the markers in an image, and decide on them unless something is wrong with it.
+        """Detect the markers in an image, and decide on them unless the image is faulty.
 
         Args:
             frame: the image.
-            trouble: what is wrong with it by its reader.
+            trouble: the camera fault that the reader reports, or None.
 
         Returns:
-            What is wrong with it, if anything is.
+            The fault of the image, or None.
         """
         clock = self.context.clock
         begun_s = clock()
@@ -125,14 +125,14 @@ class UnitAtWork:
         return trouble
 
     def look_around(self, frame: Frame) -> None:
-        """Search the image for what can wait until the decision on it was sent."""
+        """Search the image for further markers, after the decision on it was sent."""
         if isinstance(self.detector, DeferringDetector):
             self.detector.look_around(frame.image, unit_id=self.core.unit_id)
 
     def _decide(
         self, frame: Frame, detections: Detections, begun_s: float, found_s: float
     ) -> tuple[UnitNews | None, View | None]:
-        """Decide on detections, send what is decided, and then keep all of it, so that nobody waits."""
+        """Decide on detections, send the messages, and then record all. Recording adds no latency."""
         news = self.core.see(detections, found_s)
         for message in () if news is None else news.messages:
             self.mailbox.send(message)
@@ -155,7 +155,7 @@ class UnitAtWork:
         return news, view
 
     def report(self, trouble: str | None) -> None:
-        """Tell people what is wrong, keep pictures that are done, and give a sign of life when it is time."""
+        """Report faults, record finished preview images, and send a heartbeat when it is due."""
         now_s = self.context.clock()
         troubles = (trouble or self.core.trouble, self.core.withheld(now_s), self.process_log.trouble)
         problem = "; ".join(filter(None, troubles))
@@ -175,7 +175,7 @@ def keep_image(
     view: View | None,
     stages: dict[str, Any],
 ) -> None:
-    """Keep what came of an image, after it was sent, so that nobody waits for it."""
+    """Record an image's detections, messages and stages, after the messages were sent."""
     process_log.saw(detections, stages["found_s"])
     process_log.put("/sent", stages["sent_s"], {"messages": None if news is None else news.messages})
     if view is not None:
@@ -184,21 +184,21 @@ def keep_image(
 
 
 def _described(detections: Detections, view: View | None) -> str:
-    """What a unit says of its newest image."""
+    """Return the state of a unit after its newest image, as a status text."""
     error = np.nan if view is None else view.shape_error
     known = f", shape error {100 * error:.2g} %" if np.isfinite(error) else ""
     return f"{len(detections)} markers{known}"
 
 
 def _open(context: ProcessContext, status: StatusLine, address: str) -> CameraReader | None:
-    """The camera, which may take a while to be there; None if the process is to end before."""
+    """Open the camera, and wait until a stream is available. Return None if the process ends before."""
     while not context.ended():
         try:
             return open_camera(address, clock=context.clock)
         except InputError as error:
             if "://" not in address:
                 raise
-            status.say(f"waits for its camera: {error}")
+            status.say(f"waiting for its camera: {error}")
             time.sleep(0.5)
     return None
 
@@ -206,7 +206,7 @@ def _open(context: ProcessContext, status: StatusLine, address: str) -> CameraRe
 def _autopilot(
     context: ProcessContext, mailbox: Mailbox, stack: ExitStack, unit: int, *, dry_run: bool
 ) -> Callable[[FlightCommand], object]:
-    """Where the flight commands of a unit go."""
+    """Return the function that sends the flight commands of a unit."""
     address = context.lab.camera(unit).driver
     if address is None or dry_run:
         return lambda command: None

@@ -1,13 +1,19 @@
-"""The wire format: messages in envelopes, and the validation of incoming bytes.
+"""The wire format: messages in envelopes, and validation of received bytes.
 
-An envelope is a JSON object with ten keys: the version of the format, the team, the sender's name and
-instance, the time of sending by the sender's clock, the two numbers of its latch
-(`skyherd.live.stop_latch`), the kind of the message, and the message itself as it is recorded.
-Incoming bytes become a message only if team, version, kind, shape and sender fit. Everything else is refused
-with a reason, never with an exception.
+An envelope is a JSON object with nine keys:
 
-    unit/J   goals, proximity, report, sighting, heartbeat, and flight where the world is simulated
-    robot/I  heartbeat, and wheels where the world is simulated
+- `version`: version of the format;
+- `team`: name of the team;
+- `sender`, `instance`: name and random id of the sending process;
+- `sent_s`: time of sending on the sender's clock;
+- `stop`, `cleared`: numbers of the sender's latch (`skyherd.live.stop_latch`);
+- `kind`, `body`: kind of the message, and the message as it is recorded.
+
+Bytes become a message only if team, version, kind, shape and sender are valid. All other bytes are refused
+with a reason.
+
+    unit/J   goals, proximity, report, sighting, heartbeat, and flight in a simulated world
+    robot/I  heartbeat, and wheels in a simulated world
     any      heartbeat, arm, stop
 """
 
@@ -30,32 +36,32 @@ from skyherd.recording.json_codec import from_plain, to_json
 from skyherd.text import printable, shorten
 
 VERSION = 3
-"""Version of the format. It rises whenever a message changes in a way that an older process would misread."""
+"""Version of the format. It increases with every change that an older process would misread."""
 
 MAX_BYTES = 1 << 20
-"""Size of the largest message that is looked at. Chosen: goals of a thousand robots with three neighbours
-each take a quarter of it."""
+"""Size of the largest accepted message, bytes. Chosen: four times the goals of a thousand robots with three
+neighbours each."""
 
 MAX_NAME = 40
-"""Length of the longest name of a process. Chosen: a few times the longest that is used."""
+"""Length of the longest process name, characters. Chosen: a few times the longest one in use."""
 
 LATEST_S = 1e10
-"""Largest stamp that is taken for a time, s. Chosen: three centuries after 1970; sums of such stay exact to a
-microsecond or two."""
+"""Largest valid time stamp, s. Chosen: three centuries after 1970. Sums of two stamps stay exact to about two
+microseconds."""
 
 
 @dataclass(frozen=True)
 class Sighting:
-    """Which markers one image showed.
+    """The markers detected in one image.
 
     Attributes:
-        unit_id: the unit whose image it is.
-        time_s: when it was taken.
-        ids: (N,) markers that were found once.
-        repeated_ids: (M,) markers that were found at several places, so that nobody knows which is the robot.
+        unit_id: the unit that took the image.
+        time_s: time of capture.
+        ids: (N,) markers detected once.
+        repeated_ids: (M,) markers detected at several places, so that the robot's position is ambiguous.
 
     Raises:
-        MessageError: an id is negative or occurs twice, or the time is no number.
+        MessageError: an id is negative or occurs twice, or the time is not a number.
     """
 
     unit_id: int
@@ -71,15 +77,14 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Heartbeat:
-    """A sign of life, by which clocks are compared as well.
+    """A periodic message that shows that a process is alive, and serves the comparison of clocks.
 
     Attributes:
-        heard: by process, the stamp of sending of its last message, by its clock, and when that arrived, by
-            the sender's.
-        state: what the process says of itself, for people.
-        session: of a robot, what an arm command has to name; changes with each stop. Empty for others.
-        armed: of a robot, whether its wheels may turn.
-        ready: of a robot, whether it would accept an arm command now.
+        heard: by process, the two times of its last message: sent on its clock, received on the sender's.
+        state: status text of the process, for people.
+        session: session of a robot, which an arm command must name; empty for other processes.
+        armed: whether the robot is armed.
+        ready: whether the robot would accept an arm command now.
     """
 
     heard: Mapping[str, tuple[float, float]]
@@ -91,12 +96,12 @@ class Heartbeat:
 
 @dataclass(frozen=True)
 class Arm:
-    """Arms the robots that are named with their current session, and clears the stop that the envelope names.
+    """Command that arms the robots named with their current session, and clears the envelope's stop.
 
-    A command that was under way while a robot stopped or restarted names an old session, and does nothing.
+    A command sent before a robot stopped or restarted names an old session, and has no effect.
 
     Attributes:
-        sessions: by process name of a robot, its session.
+        sessions: session of each robot, by its process name.
     """
 
     sessions: Mapping[str, str]
@@ -104,10 +109,10 @@ class Arm:
 
 @dataclass(frozen=True)
 class Stop:
-    """Stops and disarms all robots. Its number is the envelope's stop number.
+    """Command that stops and disarms all robots. Its number is the envelope's stop number.
 
     Attributes:
-        why: who asked for it, for people.
+        why: origin of the command, for people.
     """
 
     why: str
@@ -115,7 +120,7 @@ class Stop:
 
 @dataclass(frozen=True)
 class Wheels:
-    """What a robot's driver tells the wheels of a simulated world.
+    """Wheel command of a robot in a simulated world.
 
     Attributes:
         robot_id: the robot.
@@ -133,7 +138,7 @@ class Wheels:
 
 
 Message = MotionGoals | Proximity | UnitReport | Sighting | Heartbeat | Arm | Stop | Wheels | FlightCommand
-"""Everything that goes over the radio."""
+"""All messages sent by radio."""
 
 KINDS: Mapping[str, type] = {
     "goals": MotionGoals,
@@ -146,22 +151,22 @@ KINDS: Mapping[str, type] = {
     "wheels": Wheels,
     "flight": FlightCommand,
 }
-"""Kinds of messages by their names on the wire, which also end their topics."""
+"""Message classes by kind name, which is also part of the topic."""
 
 KIND_OF = {kind: name for name, kind in KINDS.items()}
-"""The names by kind."""
+"""Kind names by message class."""
 
 
 @dataclass(frozen=True)
 class Envelope:
-    """A message with its sender, its time and the sender's latch.
+    """A message with its sender, time of sending and latch.
 
     Attributes:
-        sender: name of the process that sent it, such as `unit/0`.
-        sent_s: when it was sent, by the sender's clock.
+        sender: name of the sending process, such as `unit/0`.
+        sent_s: time of sending on the sender's clock.
         message: the message.
         instance: random id of the sending process, which differs between two processes of one name.
-        latch: the commands that the sender knows of.
+        latch: commands known to the sender.
     """
 
     sender: str
@@ -172,21 +177,20 @@ class Envelope:
 
     @property
     def kind(self) -> str:
-        """Name of the kind of the message."""
+        """Kind name of the message."""
         return KIND_OF[type(self.message)]
 
 
 class Refused(Exception):
-    """Bytes that are no message for us; the text says why in a few words."""
+    """Error for received bytes that are not a valid message. Its text is the reason."""
 
 
 class Refusals:
-    """Counts refused messages by reason, and says each reason once.
+    """Counter of refused messages by reason, which reports each reason once.
 
     Attributes:
-        counts: by reason.
-        most: number of reasons that are told apart; all others are counted as one, so that garbage from
-            outside fills no memory.
+        counts: number of messages by reason.
+        most: largest number of separate reasons. Further reasons share one count, which bounds the memory.
     """
 
     def __init__(self, most: int = 32) -> None:
@@ -194,14 +198,14 @@ class Refusals:
         self.most = most
 
     def refuse(self, why: str) -> str | None:
-        """Count one more; returns the reason as a line the first time, and None from then on."""
-        why = why if why in self.counts or len(self.counts) < self.most else "for yet other reasons"
+        """Count a refusal. Return the reason the first time, and None from then on."""
+        why = why if why in self.counts or len(self.counts) < self.most else "for further reasons"
         self.counts[why] = self.counts.get(why, 0) + 1
         return why if self.counts[why] == 1 else None
 
 
 def envelope_record(envelope: Envelope) -> dict[str, Any]:
-    """Return an envelope as the object that is sent and recorded."""
+    """Return an envelope as the JSON object that is sent and recorded."""
     return {
         "sender": envelope.sender,
         "instance": envelope.instance,
@@ -214,14 +218,15 @@ def envelope_record(envelope: Envelope) -> dict[str, Any]:
 
 
 def envelope_of(record: Mapping[str, Any]) -> Envelope:
-    """Return the envelope of an object of `envelope_record`, its message as a plain object.
+    """Return the envelope of an object of `envelope_record`, with its message as a plain object.
 
     Raises:
-        MessageError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError: it is none.
+        MessageError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError: it is not
+            a valid envelope.
     """
     latch = StopLatch(_stop_number(record["stop"]), _stop_number(record["cleared"]))
     if latch.cleared == MAX_STOP:
-        raise ValueError("no stop number is left")
+        raise ValueError("cleared is above all stop numbers")
     message = plain_message(record["kind"], record["body"])
     return Envelope(str(record["sender"]), float(record["sent_s"]), message, str(record["instance"]), latch)
 
@@ -232,26 +237,26 @@ def encode(envelope: Envelope, team: str) -> bytes:
 
 
 def decode(data: bytes, team: str) -> Envelope:
-    """The envelope of bytes that arrived.
+    """Return the envelope encoded in received bytes.
 
     Raises:
-        Refused: they are too many, no JSON, of another team or version, or no message of ours.
+        Refused: the bytes are too many, not JSON, of another team or version, or not a valid message.
     """
     if len(data) > MAX_BYTES:
-        raise Refused("larger than a message can be")
+        raise Refused("larger than the largest message")
     try:
         record = orjson.loads(data)
     except (orjson.JSONDecodeError, RecursionError):
         raise Refused("not JSON") from None
     if not isinstance(record, dict) or not isinstance(record.get("team"), str):
-        raise Refused("no message of skyherd")
+        raise Refused("not a message of skyherd")
     if record["team"] != team:
         raise Refused(f"of another team, {_shown(record['team'])}")
     if record.get("version") != VERSION or isinstance(record["version"], bool):
-        raise Refused(f"of format {_shown(str(record.get('version')))}, here it is {VERSION}")
+        raise Refused(f"of format {_shown(str(record.get('version')))}, not {VERSION}")
     sender, sent_s, kind = record.get("sender"), record.get("sent_s"), record.get("kind")
     if not isinstance(sender, str) or not 0 < len(sender) <= MAX_NAME:
-        raise Refused("from nobody in particular")
+        raise Refused("without a valid sender")
     if not is_stamp(sent_s):
         raise Refused("without a time of sending")
     instance = record.get("instance")
@@ -266,12 +271,12 @@ def decode(data: bytes, team: str) -> Envelope:
     unit, robot = getattr(envelope.message, "unit_id", None), getattr(envelope.message, "robot_id", None)
     expected = f"unit/{unit}" if unit is not None else None if robot is None else f"robot/{robot}"
     if expected is not None and sender != expected:
-        raise Refused(f"{kind} in another's name from {_shown(sender)}")
+        raise Refused(f"{kind} for another process from {_shown(sender)}")
     return envelope
 
 
 def is_stamp(value: Any) -> TypeGuard[float]:
-    """Whether a plain value is a time that a clock can show."""
+    """Return whether a plain value is a valid time stamp."""
     return isinstance(value, int | float) and not isinstance(value, bool) and -LATEST_S < value < LATEST_S
 
 
@@ -280,14 +285,15 @@ def _shown(text: str) -> str:
 
 
 def plain_message(name: str, body: Any) -> Message:
-    """A message of a kind of `KINDS` from its plain object.
+    """Return the message of a kind of `KINDS` from its plain object.
 
     Raises:
-        MessageError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError: it is none.
+        MessageError, ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError: it is not
+            a valid message of this kind.
     """
     kind = KINDS[name]
     if not isinstance(body, dict):
-        raise TypeError("no object")
+        raise TypeError("not an object")
     if "time_s" in body and not is_stamp(body["time_s"]):
         raise ValueError("time_s")
     if kind is UnitReport:
@@ -309,17 +315,17 @@ def plain_message(name: str, body: Any) -> Message:
 
 def _name(value: Any) -> str:
     if not isinstance(value, str) or len(value) > 100:
-        raise TypeError("no name")
+        raise TypeError("not a name")
     return value
 
 
 def _stop_number(value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= MAX_STOP:
-        raise ValueError("no stop number")
+        raise ValueError("not a stop number")
     return value
 
 
 def _stamps(pair: Any) -> tuple[float, float]:
     if not isinstance(pair, list) or len(pair) != 2 or not all(is_stamp(value) for value in pair):
-        raise ValueError("no pair of stamps")
+        raise ValueError("not a pair of time stamps")
     return float(pair[0]), float(pair[1])

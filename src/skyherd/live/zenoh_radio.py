@@ -13,9 +13,8 @@ from skyherd.live.lab import LabRadio
 from skyherd.live.mailbox import Radio
 
 ANY_PORT = "tcp/127.0.0.1:0"
-"""Where a process listens besides: any port of loopback. On one machine one process gets the port of the
-file, and the others are told of each other by it."""
-
+"""Additional address on which a process without TLS listens: any port of loopback. Only one process of a
+machine gets the port of the file. The others connect to it, learn of each other there, and connect here."""
 
 RETRY_MS = 300
 """Time between two tries to get the port of the file, and to reach whoever has it, ms. Chosen: a new process
@@ -48,7 +47,7 @@ class ZenohRadio(Radio):
         config = zenoh.Config()
         settings: dict[str, Any] = {
             "mode": "peer",
-            "listen/endpoints": [*places.listen, ANY_PORT] if places.is_loopback else places.listen,
+            "listen/endpoints": [*places.listen, *additional_places(places)],
             "listen/exit_on_failure": False,
             "listen/timeout_ms": -1,
             "listen/retry": {"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS},
@@ -59,7 +58,7 @@ class ZenohRadio(Radio):
             "scouting/multicast/enabled": False,
             "transport/shared_memory/enabled": False,
         }
-        if places.certificate and places.key and places.authority:
+        if places.certificate and places.key and places.authority:  # all of `has_certificates`
             settings |= {
                 "transport/link/tls/root_ca_certificate": str(folder / places.authority),
                 "transport/link/tls/listen_certificate": str(folder / places.certificate),
@@ -104,3 +103,17 @@ class ZenohRadio(Radio):
     def _close_session(self) -> None:
         with suppress(self._error):
             self._session.close()
+
+
+def additional_places(places: LabRadio) -> list[str]:
+    """Return the addresses with a free port on which a process listens beside those of the file.
+
+    With certificates these use TLS and the hosts of the file, for which the certificate was issued. Without
+    certificates there is a plain port, on loopback only, and none if the file asks for TLS.
+    """
+    if places.has_certificates:
+        named = places.listen or (places.connect if places.is_loopback else [])
+        hosts = (place.partition("/")[2].rpartition(":")[0] for place in named)
+        return [f"tls/{host}:0" for host in dict.fromkeys(hosts) if host]
+    plain = len(places.plain_places) == len(places.listen) + len(places.connect)
+    return [ANY_PORT] if places.is_loopback and plain else []

@@ -14,6 +14,8 @@ import numpy.typing as npt
 from skyherd.errors import InputError
 from skyherd.geometry import SQUARE_CORNERS, Array, fit_squares, to_complex, to_points
 from skyherd.markers.codes import CODES, code_bits
+from skyherd.messages.checks import check_kind
+from skyherd.text import one_of
 
 QUIET_ZONE_CELLS = 1.0
 """Width of the white card around the black square, in cells. *Chosen*: the minimum of detectors; twice as
@@ -23,6 +25,9 @@ wide costs a quarter more room on the robot."""
 BORDER_MARK, MAX_BORDER_BITS = "@", 3
 """Separator of a dictionary's name and its border width, and the maximum width, in cells. *Chosen*: boards
 have one or two cells; the separator occurs in no name."""
+
+OPENCV_PREFIX = "DICT_"
+"""What the names of OpenCV's dictionaries begin with. *Defined* by OpenCV."""
 
 DISTANCE_SAMPLE = 200
 """Number of markers whose distances to all others are computed. Chosen: at most a second of work."""
@@ -34,8 +39,22 @@ MIDDLE_GREY = 127
 def dictionary_names() -> list[str]:
     """List the names of OpenCV's dictionaries, without `DICT_`, and of the generated ones."""
     return sorted(
-        [*CODES, *(name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_"))]
+        [
+            *CODES,
+            *(name.removeprefix(OPENCV_PREFIX) for name in dir(cv2.aruco) if name.startswith(OPENCV_PREFIX)),
+        ]
     )
+
+
+@cache
+def canonical_name(name: str) -> str:
+    """Return skyherd's name of a dictionary that may be named as in OpenCV: `4X4_50` for `DICT_4X4_50`.
+
+    Case does not count. A border after the name is kept. An unknown name is returned unchanged.
+    """
+    plain, mark, border = name.partition(BORDER_MARK)
+    known = {known.upper(): known for known in dictionary_names()}
+    return known.get(plain.upper().removeprefix(OPENCV_PREFIX), plain) + mark + border
 
 
 def with_border(name: str, border_bits: int) -> str:
@@ -47,6 +66,7 @@ def with_border(name: str, border_bits: int) -> str:
     Raises:
         InputError: the border is not of 1 to `MAX_BORDER_BITS` cells, or the name has one already.
     """
+    name = canonical_name(name)
     whole = isinstance(border_bits, int | np.integer)
     if not (whole and 1 <= border_bits <= MAX_BORDER_BITS):
         raise InputError("border bits", f"{border_bits!r}", f"a whole number from 1 to {MAX_BORDER_BITS}")
@@ -64,6 +84,7 @@ def border_cells(name: str) -> int:
     Raises:
         InputError: the suffix of the dictionary's name is not a valid width.
     """
+    check_kind("marker dictionary", name, str, "a name such as 4X4_50")
     _, mark, width = name.partition(BORDER_MARK)
     if not mark:
         return 1
@@ -82,14 +103,16 @@ def load_dictionary(name: str) -> cv2.aruco.Dictionary:
         InputError: the name is unknown; the error lists the known ones.
     """
     border_cells(name)
-    name = name.partition(BORDER_MARK)[0]
+    name = canonical_name(name).partition(BORDER_MARK)[0]
     if name in CODES:
         return _generate(name)
     if name not in dictionary_names():
         raise InputError(
-            "marker dictionary", f"no dictionary {name!r}", f"one of {', '.join(dictionary_names())}"
+            "marker dictionary",
+            f"no dictionary {name!r}",
+            one_of(name.removeprefix(OPENCV_PREFIX), dictionary_names()),
         )
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"{OPENCV_PREFIX}{name}"))
 
 
 def _generate(name: str) -> cv2.aruco.Dictionary:
@@ -164,7 +187,7 @@ def pose_of_corners(corners_px: npt.ArrayLike) -> tuple[Array, Array, Array]:
     `arg(-i arm)`.
     """
     squares = fit_squares(to_complex(np.asarray(corners_px, dtype=float).reshape(-1, 4, 2)))
-    return to_points(squares.centers), squares.headings_rad(), np.abs(squares.arms)
+    return to_points(squares.centers), squares.headings_rad(), np.abs(squares.similarities)
 
 
 def headings_of_corners(centers_px: Array, corners_px: Array) -> Array:

@@ -1,7 +1,7 @@
-"""Every message that passes between the parts of the system: immutable, and checked when it is made.
+"""Messages between the parts of the system: immutable, and validated at construction.
 
-Frames: image u right, v down, an integer is a pixel centre, angles run from +u to +v; robot x forward,
-y left, angles counter-clockwise. Units are in the names.
+Frames: image u right, v down, an integer is a pixel centre, angles run from +u to +v; robot x forward, y
+left, angles counter-clockwise. Units are in the names.
 """
 
 from skyherd.messages.commands import FlightCommand, VelocityCommand

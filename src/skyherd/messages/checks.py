@@ -1,8 +1,7 @@
-"""Numbers that the library's constructors are given, checked in one place.
+"""Validation of the numbers that the library's constructors receive.
 
-A rule or a law with a number that means nothing (NaN, a negative gain) would make every command meaningless
-without a word. Scenario files have bounds of their own (`datasets/configuration`); here is what anybody who
-uses the library has to keep.
+A meaningless number (NaN, a negative gain) would silently make every command meaningless. Scenario files have
+further bounds (`datasets/configuration`); these checks apply to every user of the library.
 """
 
 from collections.abc import Iterable
@@ -12,13 +11,14 @@ import numpy.typing as npt
 
 from skyherd.errors import InputError, MessageError
 from skyherd.geometry import IntArray
+from skyherd.text import shorten
 
 MAX_SHOWN = 60
-"""Characters of a value that an error shows. Chosen: a number or a short list."""
+"""Maximum number of characters of a value in an error. Chosen: a number or a short list."""
 
 
 def shown(value: object) -> str:
-    """A value as an error shows it: one line, shortened."""
+    """Return a value as an error shows it: one line, shortened."""
     try:
         text = " ".join(repr(value).split())
     except ValueError:
@@ -34,17 +34,17 @@ def check_numbers(
     finite: Iterable[str] = (),
     endless: Iterable[str] = (),
 ) -> None:
-    """Check the fields of an object that are numbers.
+    """Check the numeric fields of an object.
 
     Args:
-        owner: the object that is being made.
+        owner: the object under construction.
         positive: names of fields above 0.
         not_negative: names of fields of 0 or more.
         finite: names of fields of either sign.
-        endless: those of all these that may be infinite, as a limit that there is not.
+        endless: fields among these that may be infinite, for a missing limit.
 
     Raises:
-        InputError: a field is no number, not finite, or of the wrong sign.
+        InputError: a field is not a number, not finite, or of the wrong sign.
     """
     for names, least, allowed in (
         (positive, np.nextafter(0, 1), "a number above 0"),
@@ -58,7 +58,7 @@ def check_numbers(
 
 
 def _is_number(value: object) -> bool:
-    """Whether a value is one real number that fits into a float."""
+    """Return whether a value is one real number that fits into a float."""
     try:
         return isinstance(value, int | float | np.integer | np.floating) and not np.isnan(float(value))
     except OverflowError:
@@ -66,11 +66,11 @@ def _is_number(value: object) -> bool:
 
 
 def check_flags(where: str, **flags: object) -> None:
-    """Check arguments that are true or false: the truth of anything else may be another than was meant.
+    """Check that arguments are booleans, since the truth value of any other object may be unintended.
 
     Args:
-        where: what they are given to.
-        **flags: by name.
+        where: name of the call for an error.
+        **flags: values by name.
 
     Raises:
         InputError: one is neither True nor False.
@@ -81,64 +81,83 @@ def check_flags(where: str, **flags: object) -> None:
 
 
 def check_texts(where: str, values: object) -> list[str]:
-    """A list of texts, checked.
+    """Check a list of strings and return it.
 
     Args:
-        where: what they are given as.
-        values: to be checked; a text in place of a list would be taken for its letters.
+        where: name of the argument for an error.
+        values: value to check; a string instead of a list would be split into its letters.
 
     Raises:
-        InputError: they are no list, or one is no text.
+        InputError: it is not a list, or an element is not a string or cannot be written in UTF-8.
     """
     if isinstance(values, str) or not isinstance(values, Iterable):
         raise InputError(where, shown(values), "a list of texts")
     texts = list(values)
     for text in texts:
         check_kind(where, text, str, "a text")
+        try:
+            text.encode("utf-8")
+        except UnicodeEncodeError:  # of bytes on the command line that are not UTF-8
+            raise InputError(f"{where}: {shorten(text, MAX_SHOWN)}", "not UTF-8", "text in UTF-8") from None
     return texts
 
 
 def check_kind(where: str, value: object, kinds: type | tuple[type, ...], allowed: str) -> None:
-    """Check that an argument is of the kind that is meant, such as a mission or a path.
+    """Check that an argument is of the intended type, such as a mission or a path.
 
     Args:
-        where: what it is given as.
-        value: to be checked.
-        kinds: of which it has to be one.
+        where: name of the argument for an error.
+        value: value to check.
+        kinds: allowed types.
         allowed: the same in words.
 
     Raises:
-        InputError: it is of none of them.
+        InputError: it is of another type.
     """
     if not isinstance(value, kinds):
         raise InputError(where, shown(value), allowed)
+
+
+def check_vectors(where: str, **arrays: object) -> None:
+    """Check arguments that are arrays of one dimension.
+
+    Args:
+        where: what they are given to.
+        **arrays: by name.
+
+    Raises:
+        InputError: one is no such array.
+    """
+    for name, value in arrays.items():
+        if not isinstance(value, np.ndarray) or value.ndim != 1:
+            raise InputError(f"{where}: {name}", shown(value), "an array of one dimension")
 
 
 def check_count(where: str, value: object, *, most: int, least: int = 0) -> None:
     """Check a number of things.
 
     Args:
-        where: what it is given as.
-        value: to be checked.
-        most: as many as there may be.
-        least: as few as there may be.
+        where: name of the argument for an error.
+        value: value to check.
+        most: maximum.
+        least: minimum.
 
     Raises:
-        InputError: it is no whole number from `least` to `most`.
+        InputError: it is not an integer from `least` to `most`.
     """
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or not least <= value <= most:
         raise InputError(where, shown(value), f"a whole number from {least} to {most}")
 
 
 def check_ids(ids: npt.ArrayLike, where: str) -> IntArray:
-    """Ids as an array of integers, as they are given.
+    """Check ids and return them as an array of integers, in the given order.
 
     Args:
         ids: (N,) ids.
-        where: what to call them in an error.
+        where: their name in an error.
 
     Raises:
-        InputError: they are no list of whole numbers from 0 up.
+        InputError: they are not a list of integers from 0 up.
     """
     try:
         given = np.asarray(ids)
@@ -155,7 +174,7 @@ def check_time(owner: object) -> None:
     """Check that the field `time_s` of a message is a finite number.
 
     Raises:
-        MessageError: it is none.
+        MessageError: it is not.
     """
     value = getattr(owner, "time_s", None)
     if not _is_number(value) or not np.isfinite(float(value)):  # type: ignore[arg-type]

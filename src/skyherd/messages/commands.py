@@ -1,4 +1,4 @@
-"""Commands to motors: the speeds of the ground robots, and the flight velocities of the aerial units."""
+"""Commands to motors: speeds of the ground robots, and flight velocities of the aerial units."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from skyherd.messages.frozen_arrays import freeze, freeze_ids
 
 @dataclass(frozen=True)
 class VelocityCommand:
-    """Speeds that all robots of the team are to drive at until the next command, as arrays over robots.
+    """Speeds of all robots of the team until the next command, as arrays over robots.
 
     Attributes:
         ids: (N,) robots, each once.
@@ -31,7 +31,7 @@ class VelocityCommand:
 
 @dataclass(frozen=True)
 class FlightCommand:
-    """Velocity that one aerial unit asks of its own autopilot, in the frame of its camera.
+    """Velocity command of one aerial unit to its own autopilot, in the frame of its camera.
 
     Attributes:
         unit_id: the unit.
@@ -49,7 +49,7 @@ class FlightCommand:
 
     @classmethod
     def hold(cls, unit_id: int, yaw_rate_radps: float = 0.0) -> "FlightCommand":
-        """The command to stay in place, turning at a constant rate if asked."""
+        """Return the command to stay in place, with a constant turn rate if requested."""
         return cls(unit_id, np.zeros(2), climb_mps=0.0, yaw_rate_radps=yaw_rate_radps)
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The markers that one unit's detector found in one image, and the unit of length for rules on images."""
+"""Markers that one unit's detector found in one image, and the unit of length for rules on images."""
 
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
@@ -15,22 +15,22 @@ from skyherd.messages.ids import among
 
 @dataclass(frozen=True)
 class Detections:
-    """Markers found in one image: all that `control` ever sees of the world.
+    """Markers found in one image: the only view of the world that `control` has.
 
-    It holds image quantities only: no focal length, height, camera pose or metre. All points are in pixels,
-    u right and v down, with integers at pixel centres.
+    It contains image quantities only: no focal length, height, camera pose or metre. All points are in
+    pixels, u right and v down, with integers at pixel centres.
 
     Attributes:
         unit_id: the aerial unit whose image it is.
-        time_s: when the image was taken.
+        time_s: time of the image.
         image_size_px: (2,) width and height of the image.
-        ids: (N,) ids of the markers. Mostly each is there once; see `repeated`.
+        ids: (N,) ids of the markers; an id may occur twice, see `repeated`.
         centers_px: (N, 2) centres of the markers.
         headings_rad: (N,) direction of each robot's forward axis in the image, from +u to +v.
         sides_px: (N,) sides of the black squares, positive.
-        corners_px: (N, 4, 2) corners of the black squares, in the order of
-            `skyherd.geometry.SQUARE_CORNERS`: front left, front right, back right, back left.
-        covariances: (N, 3, 3) covariances of (u, v, heading), in px², px·rad and rad²; all zero where the
+        corners_px: (N, 4, 2) corners of the black squares, in the order of `skyherd.geometry.SQUARE_CORNERS`:
+            front left, front right, back right, back left.
+        covariances: (N, 3, 3) covariances of (u, v, heading), in px², px·rad and rad²; all zero if the
             detector reports none.
 
     Raises:
@@ -64,23 +64,23 @@ class Detections:
 
     @property
     def repeated(self) -> BoolArray:
-        """Which detections (N,) have an id that others have too: nobody can tell which is the robot."""
+        """Mask (N,) of the detections with a repeated id, which are ambiguous."""
         _, where, counts = np.unique(self.ids, return_inverse=True, return_counts=True)
         return np.asarray(counts[where] > 1)
 
     def unambiguous(self) -> "Detections":
-        """The detections whose ids occur once."""
+        """Return the detections whose ids occur once."""
         if len(set(self.ids.tolist())) == self.ids.size:
             return self
         return self._kept(~self.repeated)
 
     def select(self, ids: AbstractSet[int] | npt.ArrayLike) -> "Detections":
-        """The detections of those of the `ids` that were found, in the order in which they were found."""
+        """Return the detections with one of the `ids`, in the present order."""
         keep = among(self.ids, ids)
         return self if keep.all() else self._kept(keep)
 
     def _kept(self, keep: BoolArray) -> "Detections":
-        """The detections of the mask `keep` (N,)."""
+        """Return the detections of the mask `keep` (N,)."""
         return Detections(
             unit_id=self.unit_id,
             time_s=self.time_s,
@@ -95,10 +95,10 @@ class Detections:
 
 
 def centred(points_px: Array, image_size_px: Array) -> Array:
-    """Image points (N, 2), px, relative to the image centre, in halves of the image's shorter side.
+    """Return image points (N, 2), px, relative to the image centre, in halves of the image's shorter side.
 
-    In this unit of length the circle of radius 1 touches the nearer borders of every image, so that a rule
-    on distances from the image centre means the same for every camera.
+    In this unit of length the circle of radius 1 touches the nearer borders of every image. A rule on
+    distances from the image centre is therefore the same for every camera.
 
     Args:
         points_px: (N, 2) image points.

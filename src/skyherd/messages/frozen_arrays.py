@@ -1,7 +1,7 @@
-"""Arrays of a frozen dataclass: checked when it is made, copied, and made read-only.
+"""Arrays of a frozen dataclass: validated at construction, copied, and made read-only.
 
-`dataclass(frozen=True)` alone forbids only that a field is assigned anew; the values of its arrays could
-still be changed. Messages call `freeze` for each of their arrays in `__post_init__`.
+`dataclass(frozen=True)` alone only forbids assignment to a field; the values of its arrays could still be
+modified. Messages call `freeze` for each of their arrays in `__post_init__`.
 """
 
 import numpy as np
@@ -11,17 +11,17 @@ from skyherd.messages.checks import shown
 
 
 def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: bool = False) -> None:
-    """Replace the field `name` of `owner` by a checked, read-only copy of itself.
+    """Replace the field `name` of `owner` by a validated, read-only copy.
 
     Args:
-        owner: the frozen dataclass that is being made.
-        name: of the field.
-        shape: the shape that the array must have; None stands for any length. An empty array of another
-            shape is given this one, so that `[]` will do for no robots.
+        owner: the frozen dataclass under construction.
+        name: name of the field.
+        shape: required shape of the array; None is any length. An empty array of another shape is reshaped to
+            it, so that `[]` is valid for no robots.
         integer: whether the copy is of 64-bit integers instead of 64-bit floats.
 
     Raises:
-        MessageError: the shape is another one, a float is infinite or not a number, or an integer is none.
+        MessageError: the shape is wrong, a float is not finite, or a value is not an integer.
     """
     array = _array(owner, name, integer=integer)
     if array.shape != shape and array.size == 0 and 0 in shape:
@@ -35,7 +35,7 @@ def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: 
 
 
 def _array(owner: object, name: str, *, integer: bool) -> np.ndarray:
-    """A copy of a field as an array of 64-bit integers or floats; whole floats count as integers."""
+    """Return a copy of a field as an array of 64-bit integers or floats; whole floats count as integers."""
     given = getattr(owner, name)
     try:
         given = np.asarray(given)
@@ -48,18 +48,18 @@ def _array(owner: object, name: str, *, integer: bool) -> np.ndarray:
 
 
 def _fits(actual: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
-    """Whether a shape is the expected one, in which None stands for any length."""
+    """Return whether a shape is the expected one, in which None is any length."""
     return len(actual) == len(expected) and all(
         want is None or want == have for want, have in zip(expected, actual, strict=True)
     )
 
 
 def freeze_ids(owner: object, name: str, *, repeats: bool = False) -> int:
-    """Freeze a field of ids, as `freeze` does, and return how many there are.
+    """Freeze a field of ids, as `freeze` does, and return their number.
 
     Raises:
-        MessageError: an id is negative, the field is no list of integers, or an id occurs twice and `repeats`
-            does not allow it.
+        MessageError: an id is negative, the field is not a list of integers, or an id occurs twice and
+            `repeats` does not allow it.
     """
     freeze(owner, name, (np.size(getattr(owner, name)),), integer=True)
     ids = getattr(owner, name).tolist()
@@ -74,7 +74,7 @@ def freeze_image_size(owner: object) -> None:
     """Freeze the field `image_size_px`, (2,) width and height, as `freeze` does.
 
     Raises:
-        MessageError: a number is below 1, or `freeze` refuses the field.
+        MessageError: a number is below 1, or `freeze` rejects the field.
     """
     freeze(owner, "image_size_px", (2,))
     size_px = owner.image_size_px  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""The motion goals that an aerial unit sends to the robots that it controls."""
+"""Motion goals that an aerial unit sends to the robots that it controls."""
 
 from dataclasses import dataclass
 
@@ -12,16 +12,16 @@ from skyherd.messages.frozen_arrays import freeze, freeze_ids
 
 @dataclass(frozen=True)
 class RobotGoal:
-    """The part of one unit's `MotionGoals` that is addressed to one robot: the message that is transmitted.
+    """Part of one unit's `MotionGoals` for one robot: the transmitted message.
 
     Attributes:
-        robot_id: the robot addressed.
+        robot_id: the receiver.
         unit_id: the sender.
-        time_s: when the sender's image was taken.
+        time_s: time of the sender's image.
         rho_px: length of the vector from the robot to its desired point, in the sender's pixels.
         bearing_rad: direction of that vector in the robot's own frame, 0 ahead, positive to the left.
         side_px: side of the robot's own marker in the sender's image.
-        neighbor_ids: (K,) robots whose image distances are sent along.
+        neighbor_ids: (K,) robots with an image distance in this message.
         neighbor_distances_px: (K,) image distances from the robot to them.
     """
 
@@ -37,22 +37,21 @@ class RobotGoal:
 
 @dataclass(frozen=True)
 class MotionGoals:
-    """Goals that one unit sends to the robots it controls (paper, eq. 2-3), as arrays over robots.
+    """Goals of one unit for the robots it controls (paper, eq. 2-3), as arrays over robots.
 
-    The vector of robot i is `rho_i = p_i^d - p_i`, from where unit j sees it to where the fitted template
-    has it, both in the unit's image. The distances to neighbours let a robot compare the scales of several
-    units' images.
+    The vector of robot i is `rho_i = p_i^d - p_i`, from its observed to its desired image point in unit j's
+    image. With the distances to neighbours a robot computes the ratio of the scales of several units' images.
 
     Attributes:
         unit_id: the sender.
-        time_s: when its image was taken.
-        ids: (N,) robots addressed, each once.
+        time_s: time of its image.
+        ids: (N,) receivers, each once.
         rho_px: (N,) lengths of the vectors, in the sender's pixels.
-        bearings_rad: (N,) directions of the vectors, each in the robot's own frame, 0 ahead, positive to
-            the left; the paper's angle (eq. 3) is `alpha = pi - bearing`.
+        bearings_rad: (N,) directions of the vectors, each in the robot's own frame, 0 ahead, positive to the
+            left; the paper's angle (eq. 3) is `alpha = pi - bearing`.
         sides_px: (N,) side of each robot's own marker in the sender's image.
-        neighbor_ids: (N, K) robots near each one in the image; NO_ID fills the rows.
-        neighbor_distances_px: (N, K) image distances to them; 0 where there is none.
+        neighbor_ids: (N, K) robots near each one in the image; NO_ID pads the rows.
+        neighbor_distances_px: (N, K) image distances to them; 0 as padding.
 
     Raises:
         MessageError: a shape is wrong, an id occurs twice, a length is negative or a side not positive.
@@ -82,7 +81,7 @@ class MotionGoals:
         return int(self.ids.size)
 
     def for_robot(self, robot_id: int) -> RobotGoal:
-        """The part that is addressed to one robot.
+        """Return the part for one robot.
 
         Raises:
             KeyError: these goals are not for that robot.

@@ -1,4 +1,4 @@
-"""Distances and bearings to bodies nearby, which units send to robots that have no sensors of their own."""
+"""Distances and bearings to nearby bodies, which units send to robots without own sensors."""
 
 from dataclasses import dataclass
 
@@ -13,22 +13,22 @@ class Proximity:
     """Bodies near the robots that one unit sees, as arrays over P pairs of a robot and another body.
 
     Two bodies that are both in `ids` and form no pair are farther apart than the horizon. The sides of the
-    sender's image stand among the bodies, by the ids `BORDER_IDS`, while something may be hidden beyond them.
+    sender's image are among the bodies, with the ids `BORDER_IDS`, while bodies may be hidden beyond them.
 
     Attributes:
         unit_id: the sender.
-        time_s: when its image was taken.
-        horizon_sides: pairs whose bodies are farther apart than this are left out, in marker sides.
-        ids: (N,) bodies seen, each once; the robots among them are addressed, whether the unit controls
-            them or not.
+        time_s: time of its image.
+        horizon_sides: maximum distance of the bodies of a pair, in marker sides.
+        ids: (N,) bodies seen, each once; the robots among them are receivers, whether the unit controls them
+            or not.
         robot_ids: (P,) the robot of each pair, which is the receiver.
         other_ids: (P,) the other body of each pair: a robot, an obstacle or a side of the image.
         distances_sides: (P,) distances between the two centres, or from a side, in marker sides.
         bearings_rad: (P,) directions to the other body in the robot's own frame, 0 ahead, positive to the
             left.
         reaches_sides: (P,) distances between the centres at which the bodies touch, margin included.
-        shares: (P,) share of the gap that the robot may use up: 1/2 where the other body is a robot, which
-            receives the same pair, and 1 where it stands still.
+        shares: (P,) share of the gap that the robot may use up: 1/2 if the other body is a robot, which
+            receives the same pair, and 1 if it is static.
 
     Raises:
         MessageError: a shape is wrong, an id in `ids` occurs twice, or a distance is negative.

@@ -1,4 +1,4 @@
-"""The reports that aerial units send to one another after each image."""
+"""Reports that aerial units send to one another after each image; they also serve as heartbeats."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,21 +17,21 @@ from skyherd.messages.tree_status import TreeStatus
 
 @dataclass(frozen=True)
 class UnitReport:
-    """What one aerial unit reports to the other units after an image.
+    """Report of one aerial unit to the other units after an image.
 
     Attributes:
         unit_id: the sender.
-        time_s: when its image was taken.
+        time_s: time of its image.
         image_size_px: (2,) width and height of its images.
         ids: (N,) robots that it sees, each once.
         points_px: (N, 2) their centres in its image.
         controlled_ids: (M,) robots that it controls, S_j^c in the paper.
-        secure_ids: (L,) those of them that it sees inside its safety radius now.
-        tree: its state in the tree protocol; None where sets come from the safety radius alone.
-        cost_sides2: its term V_j of the cost function (paper, eq. 9), in marker sides squared.
-        side_px: the side of a marker in its image, as estimated jointly with its neighbours; 0 where the
-            size of the shape is free.
-        roles: the map from robots to template points that it follows; None where roles are fixed.
+        secure_ids: (L,) controlled robots inside its safety radius now.
+        tree: its state in the tree protocol; None with sets from the safety radius alone.
+        cost_sides2: its term V_j of the Lyapunov function (paper, eq. 9), in marker sides squared.
+        side_px: the side of a marker in its image, as estimated jointly with its neighbours; 0 if the size of
+            the shape is free.
+        roles: its map from robots to template points; None with fixed roles.
 
     Raises:
         MessageError: a shape is wrong or an id occurs twice.
@@ -59,17 +59,17 @@ class UnitReport:
 
     @cached_property
     def controlled(self) -> frozenset[int]:
-        """The robots that it controls, as a set."""
+        """Controlled robots as a set."""
         return frozenset(self.controlled_ids.tolist())
 
     @cached_property
     def distances(self) -> dict[int, float]:
-        """By robot seen, its distance from the image centre, in halves of the image's shorter side."""
+        """Distance from the image centre of each robot seen, in halves of the image's shorter side."""
         distances = np.linalg.norm(centred(self.points_px, self.image_size_px), axis=1)
         return dict(zip(self.ids.tolist(), distances.tolist(), strict=True))
 
 
 def shared_ids(own: npt.ArrayLike, reports: Sequence[UnitReport]) -> IntArray:
-    """Those of the robots `own` that at least one other unit reports to control, ascending."""
+    """Return the robots of `own` that at least one other unit reports to control, ascending."""
     others: set[int] = set().union(*(report.controlled for report in reports))
     return np.array(sorted(others.intersection(np.asarray(own).tolist())), dtype=np.int64)

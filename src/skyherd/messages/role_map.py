@@ -1,6 +1,6 @@
-"""Which robot takes which point of the template: part of a unit's report.
+"""Assignment of robots to template points: part of a unit's report.
 
-`skyherd.control.formation.roles` says how units agree on it.
+`skyherd.control.formation.roles` has the protocol by which units agree on it.
 """
 
 from dataclasses import dataclass
@@ -14,16 +14,16 @@ from skyherd.messages.frozen_arrays import freeze
 
 @dataclass(frozen=True)
 class RoleMap:
-    """The complete map from robots to points of the template, with a version.
+    """Complete map from robots to points of the template, with a version.
 
     Attributes:
-        version: number of exchanges made so far. Of two maps the one with the higher version is valid.
-        author_id: the unit that made the map. Of two maps of one version that of the lower unit is valid.
-        roles: (N,) row of each robot's point in the template, robots in the order of the template's ids;
-            a permutation of 0 to N - 1, so that no point has two robots.
+        version: number of exchanges so far; the higher version is valid.
+        author_id: the unit that created the map; of one version the map of the lower unit is valid.
+        roles: (N,) row of each robot's point in the template, robots in the order of the template's ids; a
+            permutation of 0 to N - 1, so that no point has two robots.
 
     Raises:
-        MessageError: `roles` is no permutation.
+        MessageError: `roles` is not a permutation.
     """
 
     version: int
@@ -33,9 +33,9 @@ class RoleMap:
     def __post_init__(self) -> None:
         freeze(self, "roles", (None,), integer=True)
         if not np.array_equal(np.sort(self.roles), np.arange(self.roles.size)):
-            raise MessageError(f"RoleMap.roles: no permutation: {self.roles.tolist()}")
+            raise MessageError(f"RoleMap.roles: {self.roles.tolist()}, expected a permutation of 0 to N - 1")
 
     @property
     def precedence(self) -> tuple[int, int]:
-        """A key that identifies the map; of two maps the one with the greater key is valid."""
+        """Key of the map; of two maps the one with the greater key is valid."""
         return self.version, -self.author_id

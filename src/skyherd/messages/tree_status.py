@@ -1,4 +1,4 @@
-"""The state of a unit in the tree protocol: part of its report to the other units.
+"""State of a unit in the tree protocol: part of its report to the other units.
 
 `skyherd.control.tree` has the protocol; docs/topology.md explains it.
 """
@@ -11,33 +11,34 @@ from skyherd.messages.frozen_arrays import freeze, freeze_ids
 from skyherd.messages.ids import NO_ID
 
 NO_SLOT = -(2**53)
-"""Stands for no slot. Derived: below the number of any slot that a clock shows, also one that counts from a
-time to come, and exact in JSON."""
+"""Placeholder for no slot. Derived: below the slot number of any clock, also one that counts from a future
+epoch, and exact in JSON."""
 
 
 @dataclass(frozen=True)
 class TreeStatus:
-    """The state of one unit in the tree of units; its E edges are rows of arrays.
+    """State of one unit in the tree of units; its E edges are rows of arrays.
 
     Attributes:
-        tree_id: number of the tree that the unit belongs to, NO_ID if it belongs to none. Where two trees
-            meet, the one with the lower number remains.
-        asks_id: the unit that it asks for an edge, to be admitted to the tree or to found it; NO_ID if none.
+        tree_id: number of the unit's tree, NO_ID without one. Where two trees meet, the one with the lower
+            number remains.
+        asks_id: the unit from which it requests an edge, to be admitted to the tree or to found it; NO_ID if
+            none.
         ask_turn: the turn, one of its own, at which it expects that edge; distinguishes repeated requests.
-        heir_id: the neighbour that takes over its robots and edges if it falls silent, or NO_ID.
+        heir_id: the neighbour that takes over its robots and edges on failover, or NO_ID.
         ready: whether it knows the tree to be complete, so that robots may move.
         neighbor_ids: (E,) the unit at the other end of each edge.
         turns: (E,) number of turns taken on each edge; the lower unit of the two has the even turns.
-        pairs: (E, 2) the two robots that each edge shares, NO_ID while it has none.
+        pairs: (E, 2) the two robots that each edge shares, NO_ID without a pair.
         offered_ids: (L,) robots of its own that a neighbour may take over in its next turn.
-        offered_to_ids: (L,) the neighbour that each of them is offered to.
-        to_release_ids: (W,) those of the offered robots that the unit prefers to give up.
+        offered_to_ids: (L,) the neighbour to which each of them is offered.
+        to_release_ids: (W,) offered robots that the unit prefers to release.
         missing_ids: (M,) robots of its own that it has not seen for a long time.
-        handed_ids: (H,) robots of its own that are to become another unit's own.
-        handed_to_ids: (H,) the unit that each of them goes to.
-        handed_slots: (H,) the slot with which it does, the same for both units; NO_SLOT before the other unit
+        handed_ids: (H,) robots of its own that will become another unit's own.
+        handed_to_ids: (H,) the unit to which each of them goes.
+        handed_slots: (H,) the slot of each hand-over, the same for both units; NO_SLOT until the other unit
             has accepted it.
-        accepted_ids: (A,) robots that it would take of those that other units want to hand to it.
+        accepted_ids: (A,) robots that it would take of those that other units want to hand over.
 
     Raises:
         MessageError: a shape is wrong or an id occurs twice.
@@ -75,7 +76,7 @@ class TreeStatus:
 
     @cached_property
     def rows(self) -> dict[int, int]:
-        """By neighbour, the row of the edge to it."""
+        """Row of the edge by neighbour."""
         return {neighbor: row for row, neighbor in enumerate(self.neighbor_ids.tolist())}
 
     @cached_property

@@ -1,5 +1,6 @@
 """Incremental MCAP writer; a killed process loses only the end of its file."""
 
+import math
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -8,12 +9,17 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
+from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.recording.json_codec import json_schema, to_json
 from skyherd.version import __version__
 
 CHUNK_BYTES = 1 << 16
 """Size at which a chunk of messages is compressed and written early, bytes. Chosen: smaller chunks compress
 worse, larger ones lose more when damaged."""
+
+FLUSH_S = 0.5
+"""Time, s, of which a killed process loses no more. Chosen: robots hardly move in it, and shorter chunks
+compress worse."""
 
 Schema = tuple[str, type | dict[str, Any]]
 """Name of a schema, and its dataclass or JSON schema."""
@@ -37,6 +43,7 @@ class McapLog:
 
     def __init__(self, path: Path, topics: Mapping[str, Schema]) -> None:
         self.topics, self.pending_bytes = topics, 0
+        self._flushed_s = -math.inf
         self._file = path.open("wb")
         # A chunk ends where `flush` says so, never between messages that belong together.
         self._writer = Writer(
@@ -62,6 +69,20 @@ class McapLog:
         )
         self._sequence += 1
         self.pending_bytes += len(data)
+
+    def flush_when_due(self, now_s: float, next_s: float | None = None) -> None:
+        """Write a chunk if more than `FLUSH_S` or `CHUNK_BYTES` would be lost otherwise.
+
+        Call it after messages that belong together. A clock that goes back makes a chunk due.
+
+        Args:
+            now_s: time of the last message.
+            next_s: time of the next call, if it is known; None to judge by `now_s`.
+        """
+        age_s = (now_s if next_s is None else next_s) - self._flushed_s
+        if self.pending_bytes >= CHUNK_BYTES or not 0 <= age_s <= FLUSH_S + TIME_TOLERANCE_S:
+            self.flush()
+            self._flushed_s = now_s
 
     def flush(self) -> None:
         """Write pending messages as a chunk, which then survives a kill of the process."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from skyherd.control import GroundMap, Template
-from skyherd.datasets import Mission, Scenario
+from skyherd.datasets import Mission, Scenario, check_tree
 from skyherd.geometry import ComplexArray, IntArray, to_complex
 from skyherd.loop import Step, UnitFrame
 from skyherd.messages import Detections
@@ -34,7 +34,7 @@ def read_mission(record: dict[str, Any]) -> Mission:
     Raises:
         ValueError, TypeError, KeyError: the record is not of this version.
     """
-    scenario = Scenario.model_validate(record["scenario"])
+    scenario = check_tree(Scenario, record["scenario"], "scenario", see="skyherd scenario schema")
     ids = np.array(record["ids"], dtype=np.int64)
     mission = Mission(
         scenario=scenario,

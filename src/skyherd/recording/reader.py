@@ -9,7 +9,6 @@ from typing import Any, BinaryIO
 import numpy as np
 import orjson
 from mcap.reader import make_reader
-from pydantic import ValidationError
 
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
@@ -235,11 +234,9 @@ def _version_checked(path: Path) -> Iterator[None]:
     except InputError as error:
         if error.where == str(path):
             raise
+        raise _of_another_version(path, error.lines[0]) from None
+    except MALFORMED_RECORDS as error:  # the errors of our messages, too
         raise _of_another_version(path, str(error)) from None
-    except MALFORMED_RECORDS as error:  # Includes the errors of pydantic and of our messages.
-        first = error.errors()[0] if isinstance(error, ValidationError) else None
-        at = ".".join(str(part) for part in first["loc"]) + f": {first['msg']}" if first else str(error)
-        raise _of_another_version(path, at) from None
 
 
 def _of_another_version(path: Path, why: str) -> InputError:

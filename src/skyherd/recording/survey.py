@@ -128,6 +128,9 @@ def survey(stream: BinaryIO) -> Survey:
 def read_chunk(stream: BinaryIO, start: int) -> list[Message]:
     """Return the messages of the chunk that begins at a byte of the file.
 
+    In MCAP, a checksum of 0 means a missing one. All chunks of ours have one, so that such a chunk is
+    refused: nothing tells whether it is as it was written.
+
     Raises:
         MALFORMED: its checksum fails, or skyherd did not write it.
     """

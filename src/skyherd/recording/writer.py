@@ -4,10 +4,11 @@ An MCAP file holds every message of a run in its original form. Each vehicle and
 as JSON with a schema, so that any MCAP viewer opens it. All other outputs (figures, summary, page) are made
 from this file, never from the run itself.
 
-The file is written in chunks of whole steps, at least every `FLUSH_S` of simulated time: a killed run loses
-no more. The mission is written twice before the first step, in separate chunks, so that damage to one of them
-costs nothing. Messages are numbered consecutively. Chunks, data and footer have checksums, and the footer has
-the number of messages. `skyherd.recording.survey` uses them to check the integrity of a file.
+The file is written in chunks of whole steps, at least every half second of simulated time
+(`skyherd.recording.mcap_log.FLUSH_S`): a killed run loses no more. The mission is written twice before the
+first step, in separate chunks, so that damage to one of them costs nothing. Messages are numbered
+consecutively. Chunks, data and footer have checksums, and the footer has the number of messages.
+`skyherd.recording.survey` uses them to check the integrity of a file.
 
 Topics, J being the number of a unit:
 
@@ -32,7 +33,6 @@ The same scenario and seed give the same messages, to the byte. The wall time va
 metadata of the file instead of a message.
 """
 
-import math
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -46,7 +46,6 @@ from skyherd.control import GroundMap, Template
 from skyherd.datasets import Mission
 from skyherd.loop import Step, UnitFrame
 from skyherd.messages import (
-    TIME_TOLERANCE_S,
     Detections,
     FlightCommand,
     MotionGoals,
@@ -55,13 +54,9 @@ from skyherd.messages import (
     VelocityCommand,
 )
 from skyherd.recording import foxglove
-from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
+from skyherd.recording.mcap_log import McapLog, Schema
 from skyherd.sim.truth_metrics import TruthMetrics
 from skyherd.version import __version__
-
-FLUSH_S = 0.5
-"""Upper bound of the simulated time that a killed run loses beside one step, s. Chosen: a formation barely
-moves in it; shorter chunks compress worse."""
 
 JPEG_QUALITY = 90
 """Quality of recorded images, per cent. Chosen: a video made of them looks like one of the originals; they
@@ -149,12 +144,10 @@ class McapRecorder:
         topics = recorded_topics(len(mission.scenario.units))
         self._log = McapLog(path, topics)
         self._steps = 0
-        self._flushed_s = -math.inf
         record = _mission_record(mission) | {"topics": list(topics)}
         for _ in range(2):
             self._log.put("/mission", 0.0, record)
-            self._flush(0.0)
-        self._flushed_s = -math.inf
+            self._log.flush()
 
     def write(self, step: Step) -> None:
         """Append all messages of one step, and flush if too much is pending."""
@@ -174,9 +167,7 @@ class McapRecorder:
         }
         self._log.put("/metrics", step.time_s, record)
         self._steps += 1
-        next_s = step.time_s + self._step_s
-        if self._log.pending_bytes >= CHUNK_BYTES or next_s - self._flushed_s > FLUSH_S + TIME_TOLERANCE_S:
-            self._flush(step.time_s)
+        self._log.flush_when_due(step.time_s, step.time_s + self._step_s)
 
     def finish(self, time_s: float, wall_s: float) -> None:
         """Mark the run as complete.
@@ -186,7 +177,7 @@ class McapRecorder:
             wall_s: wall time of the run.
         """
         self._log.put("/end", time_s, {"steps": self._steps})
-        self._flush(time_s)
+        self._log.flush()
         self._log.add_metadata("wall", {"wall_s": repr(wall_s)})
 
     def _write_frame(self, topic: str, time_s: float, frame: UnitFrame) -> None:
@@ -209,11 +200,6 @@ class McapRecorder:
         if self.images and sight.image is not None:
             record = foxglove.compressed_image(sight.image, time_s, topic, JPEG_QUALITY)
             self._log.put(f"{topic}/image", time_s, record)
-
-    def _flush(self, time_s: float) -> None:
-        """Write pending messages as a chunk, which then survives a kill of the process."""
-        self._log.flush()
-        self._flushed_s = time_s
 
     def __enter__(self) -> Self:
         return self

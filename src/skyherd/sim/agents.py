@@ -3,84 +3,21 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from skyherd.control import (
-    NO_ROBOTS,
-    AerialController,
-    BodyRule,
-    Decision,
-    FlightLaw,
-    Follow,
-    Hover,
-    HybridSelection,
-    KeepInView,
-    Perimeter,
-    Rectifier,
-    RoleRule,
-    SafetyRadius,
-    SelectionPolicy,
-    SizeRule,
-    TeamClock,
-    Template,
-    TreeProtocol,
-    TreeRule,
-    newest_roles,
+from skyherd.assembly import (
+    REPORT_LIFETIME_S,
+    REPORTS_MISSED,
+    make_body_rule,
+    make_flight,
+    make_roles,
+    make_selection,
+    make_size,
 )
-from skyherd.datasets import FlightModel, Mission, Scenario, SelectionModel
+from skyherd.control import NO_ROBOTS, AerialController, Decision, Rectifier, TeamClock, newest_roles
+from skyherd.datasets import Mission
 from skyherd.geometry import IntArray
 from skyherd.messages import Detections, UnitReport
 from skyherd.sim.delays import min_report_delay_s
 from skyherd.sim.physics import read_unit_clock
-
-REPORT_LIFETIME_S = 2.0
-"""Age up to which a unit's report counts. Chosen: a dwell time; shorter, and lost reports are felt."""
-
-REPORTS_MISSED = 5
-"""A unit counts as silent no sooner than after this many of its images, however slow its camera is. Chosen:
-with three of ten messages lost, five in a row are lost once in 400 times."""
-
-
-def make_flight(model: FlightModel, template: Template) -> FlightLaw:
-    """A new flight law as a scenario's `units.flight` asks for it."""
-    yaw_rate_radps = float(np.radians(model.yaw_rate_degps))
-    gains = {
-        "desired_radius": model.desired_radius,
-        "lateral_gain_mps": model.lateral_gain_mps,
-        "climb_gain_mps": model.climb_gain_mps,
-    }
-    if model.kind == "hover":
-        return Hover(yaw_rate_radps)
-    if model.kind == "perimeter":
-        return Perimeter(speed_mps=model.speed_mps, yaw_rate_radps=yaw_rate_radps, **gains)
-    if model.kind == "follow":
-        return Follow(dead_band=model.dead_band, **gains)
-    return KeepInView(
-        template,
-        zoom_gain_ps=model.zoom_gain_ps,
-        dead_band=model.dead_band,
-        separation_sides=model.separation_sides,
-        min_side_px=model.min_side_px,
-        **gains,
-    )
-
-
-def make_selection(model: SelectionModel) -> SelectionPolicy:
-    """A new policy for one unit, by which it chooses the robots that it controls."""
-    overlapping = SafetyRadius(radius=model.radius, hysteresis=model.hysteresis, dwell_s=model.dwell_s)
-    tree_rule = TreeRule(
-        share=model.share,
-        radius=model.radius,
-        hysteresis=model.hysteresis,
-        dwell_s=model.dwell_s,
-        firm=model.firm,
-        silence_s=model.silence_s,
-    )
-    if model.kind == "radius":
-        return overlapping
-    if model.kind == "tree":
-        return TreeProtocol(tree_rule)
-    return HybridSelection(overlapping, tree_rule)
 
 
 def make_controller(mission: Mission, unit: int) -> AerialController:
@@ -94,9 +31,9 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
         rectifier=Rectifier() if scenario.control.rectify else None,
         nearest=scenario.control.neighbors,
         report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
-        roles=make_roles(scenario),
-        size=make_size(mission),
-        bodies=make_bodies(mission),
+        roles=make_roles(scenario.roles),
+        size=make_size(scenario.size, mission.template, scenario.marker.side_m),
+        bodies=make_body_rule(scenario.avoidance, scenario.robots.body_radius_sides, scenario.obstacles),
         clock=TeamClock(min_report_delay_s(scenario)) if scenario.clocks_differ else None,
     )
 
@@ -142,36 +79,3 @@ class UnitAgents:
         """(N,) row of the template's point that each robot goes to, by the newest map of any unit."""
         maps = [controller.roles.reported for controller in self.controllers]
         return newest_roles(maps, self._mission.ids.size)
-
-
-def make_roles(scenario: Scenario) -> RoleRule | None:
-    """How units exchange the robots' places; None if they do not."""
-    model = scenario.roles
-    if not model.exchange:
-        return None
-    classes = None if model.classes is None else tuple(model.classes)
-    return RoleRule(period_s=model.period_s, gain=model.gain, classes=classes)
-
-
-def make_size(mission: Mission) -> SizeRule:
-    """Bounds on the shape's size, in marker sides."""
-    model, side_m = mission.scenario.size, mission.scenario.marker.side_m
-    if model.unit_m is not None:
-        sides = mission.template.spacing_px * model.unit_m / side_m
-        return SizeRule(sides, sides)
-    if model.spacing_sides is not None:
-        return SizeRule(model.spacing_sides, model.spacing_sides)
-    return SizeRule(model.min_spacing_sides)
-
-
-def make_bodies(mission: Mission) -> BodyRule | None:
-    """What units know of bodies; None where robots are points."""
-    model = mission.scenario.avoidance
-    if not model.on:
-        return None
-    return BodyRule(
-        radius_sides=mission.scenario.robots.body_radius_sides,
-        margin_sides=model.margin_sides,
-        horizon_sides=model.horizon_sides,
-        obstacles={obstacle.id: obstacle.radius_sides for obstacle in mission.scenario.obstacles},
-    )

@@ -12,29 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.control import Delivery
+from skyherd.datasets import NetworkModel
 from skyherd.geometry import BoolArray
 from skyherd.messages import TIME_TOLERANCE_S, MotionGoals, Proximity, UnitReport
 
 ToRobots = MotionGoals | Proximity
 """Messages that units send to robots."""
-
-
-@dataclass(frozen=True)
-class NetworkParameters:
-    """What goes wrong with messages; by default nothing.
-
-    Attributes:
-        message_loss: share of messages lost, for each receiver independently.
-        delay_s: greatest random delay, uniform from 0, in addition to the sender's latency.
-        repeats: share of messages that arrive twice.
-        relay_s: time that a unit's radio takes to pass a report on to the units in its range; None if it
-            passes nothing on. It matters only where there is a range.
-    """
-
-    message_loss: float = 0.0
-    delay_s: float = 0.0
-    repeats: float = 0.0
-    relay_s: float | None = None
 
 
 @dataclass
@@ -46,13 +29,14 @@ class Network:
     random for each receiver, and arrives a second time at random.
 
     Attributes:
-        parameters: losses, delay, repeats and relays.
+        model: losses, delay, repeats and relays, as a scenario has them. Relays matter only where there is a
+            range.
         rng: draws what happens.
         units: number of units.
         reports: by receiving unit, the newest report that arrived from each other one.
     """
 
-    parameters: NetworkParameters
+    model: NetworkModel
     rng: np.random.Generator
     units: int
     reports: list[dict[int, UnitReport]] = field(init=False)
@@ -118,19 +102,18 @@ class Network:
         if last is not None and report.time_s < last.time_s:
             return
         self.reports[unit][report.unit_id] = report
-        relay_s = self.parameters.relay_s
-        if self._relays and relay_s is not None and (last is None or report.time_s > last.time_s):
-            self._spread(report, unit, arrival_s + relay_s)
+        if self._relays and (last is None or report.time_s > last.time_s):
+            self._spread(report, unit, arrival_s + self.model.relay_s)
 
     @property
     def _relays(self) -> bool:
-        return self._in_range is not None and self.parameters.relay_s is not None
+        return self._in_range is not None and self.model.relay
 
     def _spread(self, report: UnitReport, sender: int, arrival_s: float) -> None:
         """Send a report to all units in range of one that has it, but for whoever made it."""
         receivers = range(self.units) if self._in_range is None else self._in_range[sender]
         others = [unit for unit in receivers if unit not in (report.unit_id, sender)]
-        if self.parameters.delay_s or self.parameters.repeats:
+        if self.model.delay_s or self.model.repeats:
             for unit in others:
                 self._post(arrival_s, [unit], report)
         else:
@@ -142,7 +125,7 @@ class Network:
 
     def _post(self, arrival_s: float, receivers: Sequence[int], message: ToRobots | UnitReport) -> None:
         self._put(arrival_s + self._delay_s(), receivers, message)
-        if self.parameters.repeats and self.rng.random() < self.parameters.repeats:
+        if self.model.repeats and self.rng.random() < self.model.repeats:
             self._put(arrival_s + self._delay_s(), receivers, message)
 
     def _put(self, arrival_s: float, receivers: Sequence[int], message: ToRobots | UnitReport) -> None:
@@ -150,13 +133,13 @@ class Network:
         self._posted += 1
 
     def _delay_s(self) -> float:
-        return self.parameters.delay_s and self.parameters.delay_s * float(self.rng.random())
+        return self.model.delay_s and self.model.delay_s * float(self.rng.random())
 
     def _received(self, count: int) -> BoolArray:
         """Mask (count,) of the receivers that a message is not lost for."""
-        if self.parameters.message_loss == 0:
+        if self.model.message_loss == 0:
             return np.ones(count, dtype=bool)
-        return self.rng.random(count) >= self.parameters.message_loss
+        return self.rng.random(count) >= self.model.message_loss
 
 
 def connected_parts(in_range: Sequence[Sequence[int]]) -> list[list[int]]:

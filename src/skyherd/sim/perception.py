@@ -7,13 +7,13 @@ import numpy as np
 
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
-from skyherd.geometry import Array, BoolArray, Image, IntArray
+from skyherd.geometry import BoolArray, Image
 from skyherd.messages import Detections
 from skyherd.random_streams import RunStream, generator
-from skyherd.render import Camera, CameraPose, FrameTruth, Motion, Renderer, Shutter
+from skyherd.render import FrameTruth, Motion, Renderer, Shot, Shutter
 from skyherd.sim.projected_perception import ProjectedPerception
 from skyherd.sim.sight import Perception, Sight
-from skyherd.sim.world import Markers, World
+from skyherd.sim.world import World
 from skyherd.vision import create_detector, explain_mirrored, load_accuracy
 
 PLAIN_TO_SEE = 0.9
@@ -61,40 +61,16 @@ def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
 
 
 @dataclass(frozen=True)
-class CameraView:
-    """One camera at the moment that it takes an image.
-
-    Attributes:
-        unit: whose camera it is.
-        camera: its intrinsics and lens.
-        pose: where it is.
-        motion: velocities of camera and markers; still where the shutter takes no time.
-    """
-
-    unit: int
-    camera: Camera
-    pose: CameraPose
-    motion: Motion
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What the images of one instant are made of, apart from what is the same in all of a run.
+class Shots:
+    """What the images of one instant show.
 
     Attributes:
         time_s: when they are taken.
-        markers: of robots and obstacles.
-        views: the cameras that take an image, ascending by unit.
+        of_units: what each image shows, ascending by unit, which is its stream.
     """
 
     time_s: float
-    markers: Markers
-    views: list[CameraView]
-
-    @property
-    def team(self) -> tuple[IntArray, Array, Array]:
-        """Ids, positions and headings of the markers, as the renderer takes them."""
-        return self.markers.ids, self.markers.positions_m, self.markers.headings_rad
+    of_units: list[Shot]
 
 
 class RenderedPerception(Perception):
@@ -119,48 +95,44 @@ class RenderedPerception(Perception):
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
         """Render each unit's image and detect the markers in it."""
-        scene = self.scene(world, units, time_s)
-        return [self.take(scene, view) for view in scene.views]
+        return [self.take(shot, time_s) for shot in self.shots(world, units, time_s).of_units]
 
-    def scene(self, world: World, units: Sequence[int], time_s: float) -> Scene:
-        """What `take` needs to know of the world, for the images of the given units now."""
-        views = [
-            CameraView(
-                unit,
+    def shots(self, world: World, units: Sequence[int], time_s: float) -> Shots:
+        """Return what the images of the given units show now: all that `take` needs to know of the world."""
+        markers = world.markers
+        shots = [
+            Shot(
                 world.cameras[unit],
                 world.camera_pose(unit),
-                world.motion(unit) if self._moves else Motion(),
+                markers.ids,
+                markers.positions_m,
+                markers.headings_rad,
+                motion=world.motion(unit) if self._moves else Motion(),
+                occluders=self._occluders,
+                stream=unit,
             )
             for unit in units
         ]
-        return Scene(time_s, world.markers, views)
+        return Shots(time_s, shots)
 
-    def take(self, scene: Scene, view: CameraView) -> Sight:
-        """Render the image of one of a scene's cameras and detect the markers in it."""
-        return self.read(scene, view, self.draw(scene, view))
+    def take(self, shot: Shot, time_s: float) -> Sight:
+        """Render an image and detect the markers in it."""
+        return self.read(shot, time_s, self.renderer.render(shot))
 
-    def draw(self, scene: Scene, view: CameraView) -> Image:
-        """Render the image of one of a scene's cameras."""
-        motion, occluders = view.motion, self._occluders
-        return self.renderer.render(
-            view.camera, view.pose, *scene.team, motion=motion, occluders=occluders, stream=view.unit
-        )
-
-    def read(self, scene: Scene, view: CameraView, image: Image) -> Sight:
-        """Detect the markers in the image of one of a scene's cameras, and judge them by the truth."""
-        motion, occluders = view.motion, self._occluders
-        truth = self.renderer.truth(view.camera, view.pose, *scene.team, motion=motion, occluders=occluders)
-        detections = self.detector.detect(image, time_s=scene.time_s, unit_id=view.unit)
+    def read(self, shot: Shot, time_s: float, image: Image) -> Sight:
+        """Detect the markers in an image, and judge them by the truth about its shot."""
+        truth, unit = self.renderer.truth(shot), shot.stream
+        detections = self.detector.detect(image, time_s=time_s, unit_id=unit)
         whole_ids = truth.ids[truth.whole]
         right = _right(detections, truth)
         found_ids = whole_ids[(whole_ids[:, None] == detections.ids[right]).any(axis=1)]
-        if view.unit in self._unproven:
-            self._prove_unmirrored(view.unit, image, len(detections), found_ids.size / max(whole_ids.size, 1))
+        if unit in self._unproven:
+            self._prove_unmirrored(unit, image, len(detections), found_ids.size / max(whole_ids.size, 1))
         return Sight(detections, whole_ids, found_ids, int((~right).sum()), image)
 
-    def skip(self, view: CameraView) -> None:
+    def skip(self, shot: Shot) -> None:
         """Leave out an image that another process draws; the noise of those that follow is as after it."""
-        self.renderer.sensor.skip(view.camera.size_px)
+        self.renderer.sensor.skip(shot.camera.size_px)
 
     def _prove_unmirrored(self, unit: int, image: Image, found: int, found_whole: float) -> None:
         """Refuse a mirrored stream; asked of each unit's images until one shows something.

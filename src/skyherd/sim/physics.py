@@ -1,7 +1,7 @@
 """The physics of a mission: world, drives and radio, made with the numbers of its scenario.
 
-The physics itself takes plain numbers and small parameter classes of its own; this is the one place where a
-scenario file is turned into them.
+World and drives take plain numbers and small parameter classes of their own; this is the one place where a
+scenario file is turned into them. The radio takes the scenario's network as it is.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import Array
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.drive import Drive, DriveParameters
-from skyherd.sim.network import Network, NetworkParameters
+from skyherd.sim.network import Network
 from skyherd.sim.sway import Sway
 from skyherd.sim.world import AutopilotLimits, Markers, UnitParameters, World
 
@@ -99,12 +99,5 @@ def make_unit(scenario: Scenario, number: int) -> UnitParameters:
 
 
 def make_network(scenario: Scenario, rng: np.random.Generator) -> Network:
-    """The radio of a scenario, its losses and delays drawn from `rng`."""
-    model = scenario.network
-    parameters = NetworkParameters(
-        message_loss=model.message_loss,
-        delay_s=model.delay_s,
-        repeats=model.repeats,
-        relay_s=model.relay_s if model.relay else None,
-    )
-    return Network(parameters, rng, len(scenario.units))
+    """Make the radio of a scenario, whose losses and delays are drawn from `rng`."""
+    return Network(scenario.network, rng, len(scenario.units))

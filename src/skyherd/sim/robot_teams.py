@@ -1,14 +1,15 @@
 """The robots of a scenario, as its file asks for them: what they know of themselves, and their law."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from skyherd.control import (
     AvoidanceRule,
-    DeadReckoning,
     GoalFollowers,
     GoalInboxes,
+    LatencyCompensation,
     MarkerGains,
     NeighborMemory,
     PixelGains,
@@ -18,7 +19,7 @@ from skyherd.control import (
     TeamClock,
     Wheels,
 )
-from skyherd.datasets import Mission, Scenario
+from skyherd.datasets import AvoidanceModel, Mission, Scenario, WheelsModel
 from skyherd.errors import InputError
 from skyherd.geometry import ComplexArray
 from skyherd.random_streams import RunStream, generator
@@ -50,10 +51,10 @@ def make_team(mission: Mission, world: World) -> RobotTeam:
         return _make_oracle_team(mission, world, gains, wheels)
     units = np.arange(len(scenario.units))
     inboxes = GoalInboxes(mission.ids, units, scenario.robots.timeout_s, distances=gains.needs_distances)
-    motion = make_dead_reckoning(scenario, mission.ids.size)
+    compensation = make_latency_compensation(scenario, mission.ids.size)
     clocks = make_clocks(scenario, mission.ids.size)
     if not scenario.avoidance.on:
-        return GoalFollowers(inboxes, gains, wheels, motion=motion, clocks=clocks)
+        return GoalFollowers(inboxes, gains, wheels, latency_compensation=compensation, clocks=clocks)
     bodies = np.union1d(mission.ids, mission.obstacle_ids)
     neighbors = NeighborMemory(mission.ids, bodies, scenario.avoidance.lifetime_s)
     return GoalFollowers(
@@ -62,7 +63,7 @@ def make_team(mission: Mission, world: World) -> RobotTeam:
         wheels,
         neighbors=neighbors,
         avoidance=make_avoidance(scenario),
-        motion=motion,
+        latency_compensation=compensation,
         clocks=clocks,
     )
 
@@ -81,7 +82,7 @@ def _make_oracle_team(mission: Mission, world: World, gains: RobotLaw, wheels: W
         noise_m=scenario.control.told_noise_m,
         loss=scenario.network.message_loss,
         lifetime_s=scenario.robots.timeout_s,
-        rng=generator(scenario.seed, RunStream.TOLD_POSITIONS),
+        rng=generator(scenario.seed, RunStream.REPORTED_POSITIONS),
     )
     return OracleTeam(world, found.make(shape_m(mission), scenario.control.k), gains, wheels, news)
 
@@ -109,13 +110,13 @@ def make_clock_margin_s(scenario: Scenario) -> float:
     return max_message_delay_s(scenario) - min_message_delay_s(scenario)
 
 
-def make_dead_reckoning(scenario: Scenario, count: int) -> DeadReckoning | None:
+def make_latency_compensation(scenario: Scenario, count: int) -> LatencyCompensation | None:
     """What `count` robots know of their own motion; None where they follow goals as they come."""
-    if not scenario.control.compensate:
+    if not scenario.control.latency_compensation:
         return None
     drive = scenario.robots.drive
     slowest_s = max(model.latency_s for model in scenario.units)
-    return DeadReckoning(
+    return LatencyCompensation(
         count,
         scenario.marker.side_m,
         axis_offset_m=drive.axis_offset_m,
@@ -132,22 +133,72 @@ def make_wheels(scenario: Scenario) -> Wheels:
 
 def make_avoidance(scenario: Scenario) -> AvoidanceRule:
     """What the bound on robots' speed goes by: their own wheels, and how old their news may be."""
-    robots, drive, step_s = scenario.robots, scenario.robots.drive, scenario.step_s
-    brakes_s = robots.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
+    drive, step_s = scenario.robots.drive, scenario.step_s
     rates_hz = {unit.frame_rate_hz for unit in scenario.units}
     apart_s = step_s if len(rates_hz) > 1 else 1 / rates_hz.pop()  # between two images, of whatever units
-    wheel_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps + drive.gain_error * robots.max_speed_mps
-    return AvoidanceRule(
-        side_m=scenario.marker.side_m,
-        wheels=make_wheels(scenario),
+    timing = Timing(
         nominal_age_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
         superseded_age_s=min(unit.latency_s for unit in scenario.units) + apart_s,
         step_s=step_s,
-        lag_s=whole_steps(drive.delay_s, step_s) + brakes_s,
+        delay_s=whole_steps(drive.delay_s, step_s),
+        clock_margin_s=make_clock_margin_s(scenario),
+    )
+    return make_avoidance_rule(
+        scenario.avoidance, drive, make_wheels(scenario), side_m=scenario.marker.side_m, timing=timing
+    )
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Ages of messages, and how long commands last; `AvoidanceRule` has the attributes of these names.
+
+    Attributes:
+        nominal_age_s: greatest age of a message where none is lost.
+        superseded_age_s: age from which on a newer message may exist.
+        step_s: how long a command lasts.
+        delay_s: time from a command to its effect.
+        clock_margin_s: how much older a message may be than the robot's clock shows.
+        bearing_s: time of turning at the greatest rate by which a robot may misjudge its heading.
+        is_synchronous: whether all robots decide at the same instants.
+    """
+
+    nominal_age_s: float
+    superseded_age_s: float
+    step_s: float
+    delay_s: float
+    clock_margin_s: float
+    bearing_s: float = 0.0
+    is_synchronous: bool = True
+
+
+def make_avoidance_rule(
+    model: AvoidanceModel, drive: WheelsModel, wheels: Wheels, *, side_m: float, timing: Timing
+) -> AvoidanceRule:
+    """Return the bound on robots' speed, of simulated and of live robots.
+
+    Args:
+        model: how robots keep apart.
+        drive: errors and brakes of their wheels.
+        wheels: limits of their wheels.
+        side_m: side of their markers.
+        timing: ages of messages, and how long commands last.
+    """
+    brakes_s = wheels.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
+    wheel_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps + drive.gain_error * wheels.max_speed_mps
+    lag_s = timing.delay_s + brakes_s
+    return AvoidanceRule(
+        side_m=side_m,
+        wheels=wheels,
+        nominal_age_s=timing.nominal_age_s,
+        superseded_age_s=timing.superseded_age_s,
+        step_s=timing.step_s,
+        lag_s=lag_s,
         overshoot=drive.gain_error + SLIP_DEVIATIONS * drive.slip,
         creep_mps=drive.wheel_step_mps / 2,
-        turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * robots.max_turn_radps,
-        clock_margin_s=make_clock_margin_s(scenario),
-        lifetime_s=scenario.avoidance.lifetime_s,
-        detour=scenario.avoidance.detour,
+        turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * wheels.max_turn_radps,
+        clock_margin_s=timing.clock_margin_s,
+        line_s=0.0 if timing.is_synchronous else timing.step_s + lag_s,
+        bearing_error_rad=wheels.max_turn_radps * timing.bearing_s,
+        lifetime_s=model.lifetime_s,
+        detour=model.detour,
     )

@@ -25,7 +25,7 @@ import numpy as np
 from skyherd.errors import OutputError
 from skyherd.geometry import Image
 from skyherd.jobs.helpers import Helper, can_help, one_thread
-from skyherd.sim.perception import RenderedPerception, Scene
+from skyherd.sim.perception import RenderedPerception, Shots
 from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
 
@@ -44,7 +44,7 @@ and to read what another drew."""
 
 
 @dataclass(frozen=True)
-class Share:
+class HelperTasks:
     """What one helper does in a run.
 
     Attributes:
@@ -56,7 +56,7 @@ class Share:
     reads: frozenset[int]
 
 
-def deal(units: int, helpers: int) -> list[Share]:
+def deal(units: int, helpers: int) -> list[HelperTasks]:
     """Deal the cameras of some units to as many helpers, or fewer, so that all have about as much to do.
 
     Cameras are read by one helper after the other in turn. Each draws what it reads, but for this: the one
@@ -68,7 +68,7 @@ def deal(units: int, helpers: int) -> list[Share]:
         work = [DRAWING * len(drawn) + READING * len(read) for drawn, read in zip(draws, reads, strict=True)]
         most, least = work.index(max(work)), work.index(min(work))
         if work[least] + DRAWING >= work[most]:
-            return [Share(frozenset(d), frozenset(r)) for d, r in zip(draws, reads, strict=True)]
+            return [HelperTasks(frozenset(d), frozenset(r)) for d, r in zip(draws, reads, strict=True)]
         unit = max(draws[most])
         draws[most].remove(unit)
         draws[least].add(unit)
@@ -87,7 +87,7 @@ class SideBySide(Perception):
 
     def __init__(self, perception: Perception, jobs: int) -> None:
         self._perception, self._jobs = perception, jobs
-        self._stack, self._helpers, self._shares = ExitStack(), list[Helper](), list[Share]()
+        self._stack, self._helpers, self._shares = ExitStack(), list[Helper](), list[HelperTasks]()
         self._images: dict[int, Image] = {}
         self._begun = False
         self._spreads = jobs > 1 and can_help()
@@ -103,7 +103,7 @@ class SideBySide(Perception):
             self._fork(perception, [camera.size_px for camera in world.cameras])
         if not units:
             return []
-        request = pickle.dumps(perception.scene(world, units, time_s), pickle.HIGHEST_PROTOCOL)
+        request = pickle.dumps(perception.shots(world, units, time_s), pickle.HIGHEST_PROTOCOL)
         for helper in self._helpers:
             helper.send(request)
         return self._sights(units, self._ask_for_reading(set(units)))
@@ -163,22 +163,22 @@ class _Photographer:
         images: where the image of each unit is drawn, (height, width), memory that is shared.
     """
 
-    def __init__(self, perception: RenderedPerception, share: Share, images: dict[int, Image]) -> None:
+    def __init__(self, perception: RenderedPerception, share: HelperTasks, images: dict[int, Image]) -> None:
         self._perception, self._share, self._images = perception, share, images
 
-    def serve(self, request: Scene | AbstractSet[int]) -> dict[int, Sight]:
-        """Draw the images of a scene; or return what some units see in theirs, without the images."""
-        if isinstance(request, Scene):
-            self._scene = request
-            for view in request.views:
-                if view.unit in self._share.draws:
-                    self._images[view.unit][:] = self._perception.draw(request, view)
+    def serve(self, request: Shots | AbstractSet[int]) -> dict[int, Sight]:
+        """Draw images; or return what some units see in theirs, without the images."""
+        if isinstance(request, Shots):
+            self._shots = request
+            for shot in request.of_units:
+                if shot.stream in self._share.draws:
+                    self._images[shot.stream][:] = self._perception.renderer.render(shot)
                 else:
-                    self._perception.skip(view)
+                    self._perception.skip(shot)
             return {}
-        scene, sights = self._scene, {}
-        for view in scene.views:
-            if view.unit in request:
-                sight = self._perception.read(scene, view, self._images[view.unit])
-                sights[view.unit] = replace(sight, image=None)
+        sights = {}
+        for shot in self._shots.of_units:
+            if shot.stream in request:
+                sight = self._perception.read(shot, self._shots.time_s, self._images[shot.stream])
+                sights[shot.stream] = replace(sight, image=None)
         return sights

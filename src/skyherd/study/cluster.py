@@ -4,6 +4,7 @@ A worker makes one run at a time on one thread, without any file (`skyherd.study
 outcome. Local workers listen to this machine alone and have no dashboard. Whoever reaches a worker can let it
 run anything, and every user of a machine reaches its ports: local workers and their scheduler therefore speak
 TLS, with a certificate that is made for the run, stays in memory, and that all of them ask each other for.
+Local workers and their temporary files end with this process, even if it is killed.
 """
 
 import logging
@@ -11,9 +12,10 @@ import signal
 import ssl
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import islice
 from multiprocessing import resource_tracker
+from pathlib import Path
 from typing import Any
 
 import dask
@@ -23,6 +25,7 @@ from distributed.scheduler import KilledWorker
 
 from skyherd.datasets import Mission
 from skyherd.errors import InputError, OutputError
+from skyherd.jobs.lifetime import temporary_folder
 from skyherd.study.measure import Outcome, failure, measure
 from skyherd.version import __version__
 
@@ -42,11 +45,14 @@ WORKER_DEATHS = 2
 LOST = "lost"
 """Status of a run whose outcome died with its worker; the scheduler gives it to another. Defined by Dask."""
 
-GONE = "the scheduler is gone; the same command goes on from here"
+GONE = "the scheduler stopped; the same command continues from here"
 """Message of the error when the cluster stops answering."""
 
 LOGGERS = ("distributed", "distributed.client", "distributed.utils", "tornado", "asyncio")
 """Loggers that are silenced: an error of the cluster is reported once, as an exception of skyherd."""
+
+WORKER_START = "skyherd.study.worker_start"
+"""Module that Dask loads in each local worker before its first run."""
 
 _SETTINGS = {
     "distributed.scheduler.http.routes": [],
@@ -79,10 +85,16 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
             with _connect(scheduler) as client:
                 yield client
             return
-        with _interrupts_delayed():
-            cluster = _local_cluster(jobs or CPU_COUNT)
-        with cluster, Client(cluster) as client:
-            yield client
+        jobs = jobs or CPU_COUNT
+        with ExitStack() as stack:
+            try:
+                folder = stack.enter_context(temporary_folder("skyherd-study-"))
+            except OSError as error:
+                raise OutputError(f"no temporary folder could be made: {error.strerror or error}") from None
+            with _interrupts_delayed():
+                cluster = _local_cluster(jobs, folder)
+            stack.enter_context(cluster)
+            yield stack.enter_context(Client(cluster))
 
 
 def run_missions(
@@ -135,7 +147,7 @@ def _outcome(future: Any) -> Outcome:
         raise OutputError(GONE)
     error = future.exception()
     if isinstance(error, KilledWorker):
-        return failure(key, "each worker that tried it died, perhaps from lack of memory")
+        return failure(key, "each worker that tried it died, possibly for lack of memory")
     return failure(key, f"{type(error).__name__}: {error}")
 
 
@@ -166,8 +178,13 @@ def _interrupts_delayed() -> Iterator[None]:
         signal.raise_signal(delayed[0])
 
 
-def _local_cluster(jobs: int) -> LocalCluster:
-    """Start workers of one thread that listen to this machine alone, by TLS, without a dashboard."""
+def _local_cluster(jobs: int, folder: Path) -> LocalCluster:
+    """Start workers of one thread that listen to this machine alone, by TLS, without a dashboard.
+
+    Args:
+        jobs: number of workers.
+        folder: for their temporary files.
+    """
     try:
         return LocalCluster(
             n_workers=jobs,
@@ -177,7 +194,13 @@ def _local_cluster(jobs: int) -> LocalCluster:
             scheduler_port=0,
             protocol="tls://",
             security=Security.temporary(),
-            scheduler_kwargs={"dashboard": False, "dashboard_address": "127.0.0.1:0"},
+            local_directory=str(folder),
+            preload=WORKER_START,
+            scheduler_kwargs={
+                "dashboard": False,
+                "dashboard_address": "127.0.0.1:0",
+                "local_directory": str(folder),
+            },
             silence_logs=logging.CRITICAL,
         )
     except (RuntimeError, OSError) as error:

@@ -6,6 +6,7 @@ from pydantic import BeforeValidator, Field, model_validator
 
 from skyherd.datasets import Model
 from skyherd.datasets.configuration.fields import Coordinate, Positive, Seed
+from skyherd.errors import InputError, join_errors
 
 
 def _keys(tree: Any) -> Any:
@@ -43,20 +44,21 @@ class DrawModel(Model):
     def _one(self) -> Self:
         given = [value for value in (self.uniform, self.log, self.whole, self.choice) if value is not None]
         if len(given) != 1:
-            raise ValueError("give [least, greatest], or exactly one of log, whole and choice")
+            what = f"{len(given)} kinds of draw given"
+            raise InputError("", what, "[least, greatest], or exactly one of log, whole and choice")
         for span in (self.uniform, self.log, self.whole):
             if span is not None and span[0] > span[1]:
-                raise ValueError(f"a range goes from least to greatest, not from {span[0]} to {span[1]}")
+                raise InputError("", f"[{span[0]:g}, {span[1]:g}]", "a range with the smaller number first")
         return self
 
 
 class RandomModel(Model):
     """Random parameters: draw number i of a key depends on seed, i and key alone."""
 
-    runs: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="how many draws of all keys")
+    runs: Annotated[int, Field(ge=1, le=1_000_000)] = Field(description="number of draws of all keys")
     seed: Seed = Field(1, description="of the draws")
     draw: Annotated[dict[str, Annotated[DrawModel, BeforeValidator(_kind)]], BeforeValidator(_keys)] = Field(
-        min_length=1, description="how each key of the scenario is drawn"
+        min_length=1, description="distribution of each key of the scenario"
     )
 
 
@@ -77,15 +79,19 @@ class Parts(Model):
     @model_validator(mode="after")
     def _once(self) -> Self:
         if twice := sorted({key for key in self.keys if self.keys.count(key) > 1}):
-            raise ValueError(f"{', '.join(twice)}: give each key once, in set, grid or random.draw")
+            problems = [
+                InputError("", f"{key} is given twice", "each key once, in set, grid or random.draw")
+                for key in twice
+            ]
+            raise join_errors(problems)
         return self
 
 
 class SweepModel(Parts):
     """One series of runs; its keys override those at the top of the study, which override the scenario's."""
 
-    name: str = Field(min_length=1, description="what the table calls it")
-    about: str = Field("", description="what it is, as pages say it")
+    name: str = Field(min_length=1, description="name of the sweep in the table")
+    about: str = Field("", description="description for pages")
 
     def over(self, top: Parts) -> "SweepModel":
         """Return the sweep with missing keys taken from the top of the study."""
@@ -106,8 +112,8 @@ class SweepModel(Parts):
 class TaskModel(Model):
     """One task of a set; every sweep performs it, with its own keys beside those of the task."""
 
-    name: str = Field(min_length=1, description="what tables call it")
-    about: str = Field("", description="what it is, as pages say it")
+    name: str = Field(min_length=1, description="name of the task in the table")
+    about: str = Field("", description="description for pages")
     set: Annotated[dict[str, Any], BeforeValidator(_keys)] = Field(
         {}, description="one value a key of the scenario"
     )

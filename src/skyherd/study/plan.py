@@ -62,7 +62,7 @@ class Run:
     def text(self) -> str:
         """Return the distinguishing settings of the run in one line."""
         values = ", ".join(f"{key}={_short(value)}" for key, value in self.parameters.items())
-        return ": ".join(filter(None, (self.sweep, self.task, values))) or "as the scenario has it"
+        return ": ".join(filter(None, (self.sweep, self.task, values))) or "the scenario without changes"
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ def study_source(study: Study) -> ScenarioSource:
     try:
         return read_scenario(str(beside) if name.endswith(".toml") or is_regular(beside) else name)
     except InputError as error:
-        raise InputError(f"{study.where}: scenario: {error.where}", error.what, error.allowed) from None
+        raise error.within(f"{study.where}: scenario") from None
 
 
 def _mission(source: ScenarioSource, settings: Settings, where: str) -> Mission:

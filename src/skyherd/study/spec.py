@@ -1,19 +1,25 @@
 """Keys of study files, their meaning and allowed values."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from skyherd.analysis.history import CURVES
 from skyherd.analysis.summary_fields import GROUPS
-from skyherd.datasets import Model, built_in_names, built_in_text, first_error, parse_toml, read_toml_text
-from skyherd.errors import InputError
-from skyherd.files.reading import is_regular
+from skyherd.datasets import (
+    STUDY,
+    Model,
+    Name,
+    built_in_names,
+    check_tree,
+    read_source,
+    source_text,
+)
+from skyherd.errors import InputError, join_errors
 from skyherd.study.parts import Parts, SweepModel, TaskModel
-
-BUILT_IN = "skyherd.study.specs"
-"""Package of the built-in studies' TOML files."""
+from skyherd.text import did_you_mean
 
 CURVE = "history."
 """Prefix of fields of a run's history, which are arrays over time, beside those of its summary."""
@@ -50,7 +56,7 @@ SUMMARY_FIELDS = {field.key: field for group in GROUPS.values() for field in gro
 class FigureModel(Model):
     """A figure of the table: medians with ranges over the runs, or a dot per run where x is random."""
 
-    name: str = Field(pattern=r"^\w[\w-]*$", description="of the PNG")
+    name: Name = Field(description="of the PNG")
     title: str = ""
     x: str = Field(description="a parameter of the study")
     y: str = Field(description="a field that is kept")
@@ -66,88 +72,111 @@ class FigureModel(Model):
 class StudySpec(Parts):
     """A study: a scenario, its variations, and the stored values of each run."""
 
-    description: str = Field("", description="what it is for")
+    description: str = Field("", description="purpose of the study")
     scenario: str = Field(description="a built-in scenario, or a TOML file beside the study")
     sweeps: list[SweepModel] = Field([], description="series of runs; if left out, the study is one")
     tasks_version: Annotated[int, Field(ge=1, lt=1000)] | None = Field(
         None, description="of the tasks: another number wherever a task changed, so that results can be cited"
     )
-    tasks: list[TaskModel] = Field([], description="what every sweep is run on")
+    tasks: list[TaskModel] = Field([], description="tasks that every sweep is run on")
     keep: list[str] = Field(
         min_length=1, description=f"fields of summary.json, or {CURVE}NAME for an array over time"
     )
     figures: list[FigureModel] = Field([], description="drawn of the table")
     pages: Literal["figures", "invariance", "methods"] = Field(
-        "figures", description="what is made of the table"
+        "figures", description="kind of page made from the table"
     )
     quick: dict[str, Any] = Field({}, description="keys of the study that --quick changes")
 
     @field_validator("keep")
     @classmethod
     def _kept(cls, keep: list[str]) -> list[str]:
-        for name in keep:
-            if name not in SUMMARY_FIELDS and name.removeprefix(CURVE) not in CURVES:
-                curves = ", ".join(f"{CURVE}{curve}" for curve in CURVES)
-                raise ValueError(f"no field {name!r}; one of {', '.join(SUMMARY_FIELDS)}, {curves}")
+        known = [*SUMMARY_FIELDS, *(f"{CURVE}{curve}" for curve in CURVES)]
+        problems = [_unknown_field(name, known) for name in keep if name not in known]
+        if problems:
+            raise join_errors(problems)
         return list(dict.fromkeys(keep))
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         names = [sweep.name for sweep in self.sweeps]
         if len(set(names)) < len(names):
-            raise ValueError("sweeps: give each its own name")
+            raise InputError("sweeps", "two sweeps have one name", "each sweep its own name")
         self._check_tasks()
-        varying = f"what does: {', '.join(self.parameters) or 'nothing'}"
-        for figure in self.figures:
-            for key in filter(None, (figure.x, figure.lines)):
-                if key not in self.parameters:
-                    raise ValueError(f"figure {figure.name}: {key!r} does not vary; {varying}")
-            if figure.y not in self.fields:
-                raise ValueError(f"figure {figure.name}: {figure.y!r} is not kept; see keep")
-            if figure.sweep is not None and figure.sweep not in names:
-                raise ValueError(f"figure {figure.name}: no sweep {figure.sweep!r}; {', '.join(names)}")
+        problems = [
+            problem.within_key(f"figures.{number}")
+            for number, figure in enumerate(self.figures)
+            for problem in self._figure_problems(figure, names)
+        ]
+        if problems:
+            raise join_errors(problems)
         return self
+
+    def _figure_problems(self, figure: FigureModel, sweeps: list[str]) -> Iterator[InputError]:
+        varying = f"a key that varies: {', '.join(self.parameters) or 'this study has none'}"
+        for place, key in (("x", figure.x), ("lines", figure.lines)):
+            if key and key not in self.parameters:
+                yield InputError(place, f"{key!r} does not vary", varying)
+        if figure.y not in self.fields:
+            yield InputError(
+                "y", f"{figure.y!r} is not kept", f"one of {', '.join(self.fields)}, or add it to keep"
+            )
+        if figure.sweep is not None and figure.sweep not in sweeps:
+            allowed = f"one of {', '.join(sweeps)}" if sweeps else "leave it out: the study has no sweeps"
+            yield InputError("sweep", f"no sweep {figure.sweep!r}", allowed)
 
     @model_validator(mode="after")
     def _fit_for_invariance(self) -> Self:
         if self.pages != "invariance":
             return self
+        needed = "which pages = 'invariance' needs"
         if missing := [name for name in INVARIANCE_KEEPS if name not in self.keep]:
-            raise ValueError(f"keep: pages of invariance need {', '.join(missing)} too")
+            raise InputError("keep", f"lacks {', '.join(missing)}, {needed}", "add them")
         for sweep in self.all_sweeps:
             own = [key for key in sweep.grid if key not in RUN_KEYS]
+            where = f"sweep {sweep.name!r}"
             if sweep.random or len(own) != (sweep.name != REFERENCE):
-                raise ValueError(f"sweep {sweep.name!r}: pages of invariance need one parameter in its grid")
+                raise InputError(where, "has not one parameter in its grid", f"exactly one, {needed}")
             if missing := [key for key in RUN_KEYS if key not in sweep.grid]:
-                raise ValueError(f"sweep {sweep.name!r}: pages of invariance need {missing[0]} in the grid")
+                raise InputError(where, f"{missing[0]} is missing in the grid, {needed}", "add it")
         named = {sweep.name: sweep for sweep in self.sweeps}
         if REFERENCE not in named or "ideal" not in named[REFERENCE].over(self).grid["perception"]:
-            raise ValueError(f"pages of invariance need a sweep {REFERENCE!r}, ideal perception among others")
+            what = f"no sweep {REFERENCE!r} with ideal perception, {needed}"
+            raise InputError("sweeps", what, "add one, with other kinds of perception beside it")
         return self
 
     @model_validator(mode="after")
     def _fit_for_methods(self) -> Self:
         if self.pages != "methods":
             return self
+        needed = "which pages = 'methods' needs"
         if missing := [name for name in METHODS_KEEPS if name not in self.keep]:
-            raise ValueError(f"keep: pages of methods need {', '.join(missing)} too")
+            raise InputError("keep", f"lacks {', '.join(missing)}, {needed}", "add them")
         if not self.sweeps:
-            raise ValueError("pages of methods need a sweep for each method")
+            raise InputError("sweeps", "missing", f"a sweep for each method, {needed}")
         if not self.tasks:
-            raise ValueError("pages of methods need tasks, and the tasks_version")
+            raise InputError("tasks", "missing", f"tasks and tasks_version, {needed}")
         return self
 
     def _check_tasks(self) -> None:
         """Check that tasks have unique names, keys of no sweep, and together a version."""
         names = [task.name for task in self.tasks]
         if len(set(names)) < len(names):
-            raise ValueError("tasks: give each its own name")
-        if (self.tasks_version is None) != (not self.tasks):
-            raise ValueError("tasks_version: give it with tasks, and only with them")
+            raise InputError("tasks", "two tasks have one name", "each task its own name")
+        if self.tasks and self.tasks_version is None:
+            raise InputError("tasks_version", "missing", "a whole number, which tasks need")
+        if self.tasks_version is not None and not self.tasks:
+            raise InputError("tasks_version", "given without tasks", "leave it out, or add tasks")
         taken = {key for sweep in self.all_sweeps for key in sweep.keys}
-        for task in self.tasks:
-            if twice := sorted(taken.intersection(task.set)):
-                raise ValueError(f"task {task.name!r}: {', '.join(twice)} is given by a sweep or above it")
+        problems = [
+            InputError(
+                f"tasks.{number}.set", f"{key} is given by a sweep, or above it", "each key in one place"
+            )
+            for number, task in enumerate(self.tasks)
+            for key in sorted(taken.intersection(task.set))
+        ]
+        if problems:
+            raise join_errors(problems)
 
     @property
     def fields(self) -> list[str]:
@@ -189,34 +218,37 @@ class Study(NamedTuple):
 
 def study_names() -> list[str]:
     """List the names of the built-in studies."""
-    return built_in_names(BUILT_IN)
+    return built_in_names(STUDY.package)
 
 
 def study_text(name: str) -> str:
     """Return the TOML text of a built-in study; InputError if the name is unknown."""
-    return built_in_text(BUILT_IN, name, "study")
+    return source_text(name, STUDY)
 
 
 def load_study(name_or_file: str, *, quick: bool = False) -> Study:
     """Read and check a built-in study or a TOML file, optionally with its table `quick` merged.
 
     Raises:
-        InputError: in one line, the file, the key, the value, and what is allowed.
+        InputError: a line for each problem: the file, the key, the value, and what is allowed.
     """
-    path = Path(name_or_file)
-    is_file = path.suffix == ".toml" or is_regular(path)
-    where = str(path) if is_file else f"study {name_or_file}"
-    text = read_toml_text(path, "study") if is_file else study_text(name_or_file)
-    tree = parse_toml(text, where, f"skyherd study {study_names()[0]} --show")
+    source = read_source(name_or_file, STUDY)
+    tree, where = source.tree, source.where
     if quick:
         if not isinstance(tree.get("quick"), dict):
             raise InputError(f"{where}: quick", "missing", "a table of the keys that --quick changes")
         tree = _merge(tree, tree["quick"])
-    try:
-        spec = StudySpec.model_validate(tree)
-    except ValidationError as error:
-        raise first_error(error, where, "study", see="skyherd study --schema") from None
-    return Study(path.stem if is_file else name_or_file, spec, where, path.parent if is_file else Path())
+    spec = check_tree(StudySpec, tree, where, see=STUDY.schema)
+    return Study(Path(name_or_file).stem if source.is_file else name_or_file, spec, where, source.folder)
+
+
+def _unknown_field(name: str, known: list[str]) -> InputError:
+    """Return the problem of an unknown field, with its present or a similar name."""
+    new = name.replace("least_", "min_").replace("most_", "max_")
+    if new in known:
+        return InputError("", f"no field {name!r}", f"renamed to {new}")
+    meant = did_you_mean(name, known)
+    return InputError("", f"no field {name!r}", meant or f"one of {', '.join(known)}")
 
 
 def _merge(under: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

@@ -77,7 +77,7 @@ class Store:
             table = pa.concat_tables(tables, promote_options="permissive")
         except pa.ArrowException as error:
             what = f"parts that do not go together: {' '.join(str(error).split())}"
-            raise InputError(str(self.folder), what, "remove it, and all runs are made again") from None
+            raise InputError(str(self.folder), what, "remove it to make all runs again") from None
         last = {key: row for row, key in enumerate(table[KEY].to_pylist())}
         return table.take(sorted(last.values()))
 
@@ -110,7 +110,9 @@ def check_store(folder: Path, names: Sequence[str] = ()) -> OutputFolder:
         InputError: the folder holds something else, or a foreign file that would be replaced.
     """
     if _is_foreign(folder):
-        raise InputError(str(folder), "holds something else", "a new folder, or that of a study; see --out")
+        raise InputError(
+            str(folder), "is not the folder of a study", "a new folder, or that of a study; see --out"
+        )
     output = OutputFolder(folder, VERB, [MARK, f"{PARTS}/", *names], resume=True)
     output.check()
     return output
@@ -151,7 +153,7 @@ def _read(path: Path) -> pa.Table:
         if name not in table.column_names:
             raise InputError(str(path), f"damaged: no column {name}", advice)
         if not (pa.types.is_string(table[name].type) or pa.types.is_null(table[name].type)):
-            raise InputError(str(path), f"damaged: column {name} is no text", advice)
+            raise InputError(str(path), f"damaged: column {name} is not text", advice)
     if table[KEY].null_count:
         raise InputError(str(path), f"damaged: a row without a {KEY}", advice)
     return table

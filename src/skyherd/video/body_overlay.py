@@ -8,7 +8,7 @@ import numpy as np
 from skyherd.datasets import Mission
 from skyherd.drawing.canvas import Color, circle_dashes, draw_circle, draw_lines, draw_segments
 from skyherd.drawing.palette import INK, MUTED, PAPER, WARNING, rgb
-from skyherd.geometry import Array, BoolArray, Image
+from skyherd.geometry import Array, BoolArray, RgbImage
 
 CLEAR: Color = (237, 239, 242)
 BODY: Color = (222, 226, 231)
@@ -50,7 +50,7 @@ def overlapping_ids(mission: Mission, positions_m: Array) -> frozenset[int]:
     return frozenset(everybody[mission.bodies.overlapping(positions_m)].ravel().tolist())
 
 
-def draw_bodies(image: Image, centers: Array, radius_px: float, struck: BoolArray) -> None:
+def draw_bodies(image: RgbImage, centers: Array, radius_px: float, struck: BoolArray) -> None:
     """Draw bodies as discs around centres (N, 2), px; overlapping ones (N,) in a warning colour."""
     for center, is_struck in zip(centers.tolist(), struck.tolist(), strict=True):
         draw_circle(image, center, radius_px, STRUCK if is_struck else BODY, -1)
@@ -60,19 +60,19 @@ def draw_bodies(image: Image, centers: Array, radius_px: float, struck: BoolArra
         draw_warning(image, center, radius_px)
 
 
-def draw_warning(image: Image, center: list[float], radius_px: float) -> None:
+def draw_warning(image: RgbImage, center: list[float], radius_px: float) -> None:
     """Draw a thick rim around a body that overlaps another."""
     draw_circle(image, center, radius_px + 2, rgb(PAPER), 7)
     draw_circle(image, center, radius_px + 2, rgb(WARNING), 4)
 
 
-def draw_safety(image: Image, centers: Array, radii_px: Array, color: Color = BODY_RIM) -> None:
+def draw_safety(image: RgbImage, centers: Array, radii_px: Array, color: Color = BODY_RIM) -> None:
     """Draw safety margins as dashed circles, px, around centres (N, 2) with radii (N,)."""
     for center, radius_px in zip(centers, radii_px.tolist(), strict=True):
         draw_lines(image, circle_dashes(center, radius_px, 4.0), color, 1)
 
 
-def draw_obstacle(image: Image, center: Array, radius_px: float, inner_px: float, *, struck: bool) -> None:
+def draw_obstacle(image: RgbImage, center: Array, radius_px: float, inner_px: float, *, struck: bool) -> None:
     """Draw an obstacle as a hatched disc with a dark rim.
 
     The area within `inner_px` of its centre stays empty, so that a marker in a camera's picture is visible.

@@ -19,7 +19,7 @@ from skyherd.drawing.canvas import (
     text_width,
 )
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
-from skyherd.geometry import Array, BoolArray, Image, to_points
+from skyherd.geometry import Array, BoolArray, RgbImage, to_points
 from skyherd.loop import UnitFrame
 from skyherd.messages import NO_ID, Detections
 from skyherd.messages.tree_status import TreeStatus
@@ -59,7 +59,7 @@ def _tree_text(tree: TreeStatus | None) -> str:
     return "" if tree.heir_id == NO_ID else f" · heir {tree.heir_id}"
 
 
-def brightened(image: Image) -> Image:
+def brightened(image: RgbImage) -> RgbImage:
     """Apply the display curve of exponent `LIFT` to a grey camera image."""
     return np.asarray(cv2.LUT(image, _CURVE), dtype=np.uint8)
 
@@ -78,7 +78,7 @@ class CameraPanel:
     def __init__(
         self,
         unit: int,
-        cell: Image,
+        cell: RgbImage,
         image_size_px: tuple[int, int],
         radius: float,
         bodies: BodySizes | None = None,
@@ -177,7 +177,7 @@ class CameraPanel:
                 fill_polygon(self._picture, corners, (0, 0, 0))
             return
         height, width = self._grey.shape
-        # Halving is fast and other area averages are slow: two steps take half the time.
+        # Halving is quick, and means over areas of other sizes take long: two steps take half the time.
         while image.shape[0] >= 2 * height and not (image.shape[0] % 2 or image.shape[1] % 2):
             half = image.shape[1] // 2, image.shape[0] // 2
             image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -9,7 +9,7 @@ from skyherd.analysis.tree_snapshot import TreeHistory
 from skyherd.datasets import Mission
 from skyherd.drawing.canvas import Box, draw_text, text_width
 from skyherd.drawing.palette import INK, MUTED, PAPER, rgb, unit_rgb
-from skyherd.geometry import Image
+from skyherd.geometry import RgbImage
 from skyherd.loop import Step, UnitFrame, dead_units
 from skyherd.video.body_overlay import BodySizes, overlapping_ids
 from skyherd.video.camera_panel import BORDER_PX, TITLE_PX, CameraPanel
@@ -194,7 +194,7 @@ class Composer:
         self._last: dict[int, UnitFrame] = {}
         self._tree = TreeHistory()
 
-    def compose(self, step: Step) -> Image:
+    def compose(self, step: Step) -> RgbImage:
         """Return the picture (height, width, 3) RGB of a step: read-only, overwritten by the next call."""
         self._last |= step.frames
         dead = dead_units(self.mission.scenario, step.time_s)

@@ -7,7 +7,7 @@ import numpy as np
 
 from skyherd.drawing.canvas import Box, Color, draw_lines, draw_text, text_width
 from skyherd.drawing.palette import INK, MUTED, PAPER, rgb
-from skyherd.geometry import Array, Image
+from skyherd.geometry import Array, RgbImage
 from skyherd.video.axis_ticks import LinearRange, LogRange, tick_values
 
 TITLE_PX = 28
@@ -41,7 +41,7 @@ class CurvePanel:
     """
 
     def __init__(
-        self, panel: Image, title: str, curves: Sequence[Curve], duration_s: float, *, log: bool = False
+        self, panel: RgbImage, title: str, curves: Sequence[Curve], duration_s: float, *, log: bool = False
     ) -> None:
         self._panel, self._title, self._curves, self._duration_s = panel, title, curves, duration_s
         self._kind: type[LinearRange] | type[LogRange] = LogRange if log else LinearRange

@@ -19,7 +19,7 @@ from skyherd.drawing.canvas import (
 )
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.errors import DegenerateSetError
-from skyherd.geometry import Array, Image, to_complex, to_points
+from skyherd.geometry import Array, RgbImage, to_complex, to_points
 from skyherd.loop import Step
 from skyherd.render import footprint_m
 from skyherd.video.axis_ticks import tick_values
@@ -75,7 +75,7 @@ class GroundPanel:
         panel: the part of the canvas to draw in.
     """
 
-    def __init__(self, mission: Mission, panel: Image) -> None:
+    def __init__(self, mission: Mission, panel: RgbImage) -> None:
         self.mission, self._panel = mission, panel
         self._cameras = [unit.camera.make() for unit in mission.scenario.units]
         box = Box(

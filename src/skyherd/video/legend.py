@@ -16,7 +16,7 @@ from skyherd.drawing.canvas import (
     text_width,
 )
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
-from skyherd.geometry import Image
+from skyherd.geometry import RgbImage
 from skyherd.video.body_overlay import CLEAR, draw_bodies, draw_obstacle
 from skyherd.video.camera_panel import FOREIGN
 from skyherd.video.tree_overlay import FLASH, draw_dead, draw_link, draw_turn
@@ -34,43 +34,43 @@ FIRST, SECOND = unit_rgb(0), unit_rgb(1)
 """Colours of the two example units of the symbols."""
 
 
-def _mine(image: Image, u: float, v: float) -> None:
+def _mine(image: RgbImage, u: float, v: float) -> None:
     draw_ring(image, (u, v), 6, [FIRST], 2)
 
 
-def _shared(image: Image, u: float, v: float) -> None:
+def _shared(image: RgbImage, u: float, v: float) -> None:
     draw_ring(image, (u, v), 5, [FIRST], 2)
     draw_ring(image, (u, v), 9, [SECOND], 2)
 
 
-def _foreign(image: Image, u: float, v: float) -> None:
+def _foreign(image: RgbImage, u: float, v: float) -> None:
     draw_ring(image, (u, v), 6, [FOREIGN], 2)
 
 
-def _goal(image: Image, u: float, v: float) -> None:
+def _goal(image: RgbImage, u: float, v: float) -> None:
     draw_arrows(image, [(u - 13, v)], [(u + 13, v)], rgb(TEMPLATE_COLOR), rgb(PAPER))
 
 
-def _radius(image: Image, u: float, v: float) -> None:
+def _radius(image: RgbImage, u: float, v: float) -> None:
     draw_lines(image, circle_dashes((u, v), 9, 3), rgb(MUTED), 2)
 
 
-def _robot(image: Image, u: float, v: float) -> None:
+def _robot(image: RgbImage, u: float, v: float) -> None:
     draw_ring(image, (u, v), 8, [FIRST, SECOND], 3)
 
 
-def _shape(image: Image, u: float, v: float) -> None:
+def _shape(image: RgbImage, u: float, v: float) -> None:
     draw_segments(image, *dashes([[u - 13, v]], [[u + 4, v]]), rgb(TEMPLATE_COLOR))
     draw_circle(image, (u + 8, v), 5, rgb(TEMPLATE_COLOR), 1)
 
 
-def _unit(image: Image, u: float, v: float) -> None:
+def _unit(image: RgbImage, u: float, v: float) -> None:
     square = [[u - 9, v - 9], [u + 9, v - 9], [u + 9, v + 9], [u - 9, v + 9]]
     draw_lines(image, [square], FIRST, 2, closed=True)
     draw_lines(image, [[[u - 4, v], [u + 4, v]], [[u, v - 4], [u, v + 4]]], FIRST, 2)
 
 
-ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
+ITEMS: tuple[tuple[Callable[[RgbImage, float, float], None], str], ...] = (
     (_mine, "controlled by this unit"),
     (_shared, "shared with another unit"),
     (_foreign, "seen, not controlled"),
@@ -83,26 +83,26 @@ ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
 """Symbols of every video: the function that draws one around a point (u, v), and its meaning."""
 
 
-def _edge(image: Image, u: float, v: float) -> None:
+def _edge(image: RgbImage, u: float, v: float) -> None:
     ends = np.array([[u - 15, v], [u + 15, v]])
     draw_link(image, ends, np.array([[u, v - 8], [u, v + 8]]), (0, 1))
     draw_turn(image, (u - 8, v), FIRST)
 
 
-def _exchange(image: Image, u: float, v: float) -> None:
+def _exchange(image: RgbImage, u: float, v: float) -> None:
     draw_circle(image, (u, v), 10, FLASH, -1)
     draw_ring(image, (u, v), 6, [FIRST, SECOND], 3)
 
 
-def _granted(image: Image, u: float, v: float) -> None:
+def _granted(image: RgbImage, u: float, v: float) -> None:
     draw_segments(image, *dashes([[u - 15, v]], [[u + 15, v]]), rgb(MUTED), 2)
 
 
-def _dead(image: Image, u: float, v: float) -> None:
+def _dead(image: RgbImage, u: float, v: float) -> None:
     draw_dead(image, (u, v), 6, rgb(MUTED))
 
 
-TREE_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
+TREE_ITEMS: tuple[tuple[Callable[[RgbImage, float, float], None], str], ...] = (
     (_edge, "edge: shared pair and turn"),
     (_exchange, "pair just exchanged"),
     (_granted, "edge known to one unit"),
@@ -111,25 +111,25 @@ TREE_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
 """Additional symbols with a tree of units."""
 
 
-def _safety(image: Image, u: float, v: float) -> None:
+def _safety(image: RgbImage, u: float, v: float) -> None:
     draw_circle(image, (u, v), 10, CLEAR, -1)
     draw_bodies(image, np.array([[u, v]]), 6, np.zeros(1, dtype=bool))
 
 
-def _overlap(image: Image, u: float, v: float) -> None:
+def _overlap(image: RgbImage, u: float, v: float) -> None:
     draw_bodies(image, np.array([[u - 5, v], [u + 5, v]]), 6, np.ones(2, dtype=bool))
 
 
-def _obstacle(image: Image, u: float, v: float) -> None:
+def _obstacle(image: RgbImage, u: float, v: float) -> None:
     draw_obstacle(image, np.array([u, v]), 9, 0, struck=False)
 
 
-def _exchanged(image: Image, u: float, v: float) -> None:
+def _exchanged(image: RgbImage, u: float, v: float) -> None:
     draw_segments(image, *dashes([[u - 13, v]], [[u + 4, v]]), rgb(TEMPLATE_COLOR), 3)
     draw_circle(image, (u + 8, v), 6, rgb(TEMPLATE_COLOR), -1)
 
 
-BODY_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
+BODY_ITEMS: tuple[tuple[Callable[[RgbImage, float, float], None], str], ...] = (
     (_safety, "body and safety margin"),
     (_overlap, "bodies that overlap"),
     (_obstacle, "obstacle"),
@@ -138,7 +138,7 @@ BODY_ITEMS: tuple[tuple[Callable[[Image, float, float], None], str], ...] = (
 """Additional symbols where robots have bodies, or may exchange roles."""
 
 
-def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[Image, float, float], None], str], ...]:
+def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[RgbImage, float, float], None], str], ...]:
     return ITEMS + (TREE_ITEMS if tree else ()) + (BODY_ITEMS if bodies else ())
 
 
@@ -156,7 +156,7 @@ def _grid(width_px: int, *, tree: bool, bodies: bool) -> tuple[float, int, int]:
     return pitch, -(-len(items) // columns), TIGHT_PX if len(items) > MANY else ROW_PX
 
 
-def draw_legend(panel: Image, *, tree: bool = False, bodies: bool = False) -> None:
+def draw_legend(panel: RgbImage, *, tree: bool = False, bodies: bool = False) -> None:
     """Draw the legend into a panel, in as many columns as fit.
 
     Args:

@@ -16,7 +16,7 @@ from skyherd.drawing.canvas import (
     text_width,
 )
 from skyherd.drawing.palette import INK, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
-from skyherd.geometry import Array, Image
+from skyherd.geometry import Array, RgbImage
 from skyherd.loop import UnitFrame
 from skyherd.messages import Detections
 from skyherd.video.camera_panel import BORDER_PX, PLAIN, TITLE_PX, brightened
@@ -37,7 +37,7 @@ class RectifiedPanel:
         image_size_px: width and height of the unit's images.
     """
 
-    def __init__(self, unit: int, cell: Image, image_size_px: tuple[int, int]) -> None:
+    def __init__(self, unit: int, cell: RgbImage, image_size_px: tuple[int, int]) -> None:
         width, height = image_size_px
         room = np.array([cell.shape[1], cell.shape[0] - TITLE_PX]) - 2 * BORDER_PX
         self.unit, self.color, self.size_px = unit, unit_rgb(unit), np.array(image_size_px)
@@ -77,7 +77,7 @@ class RectifiedPanel:
             tips = self.to_panel(rectified_goals_px(frame.decision))
             draw_arrows(self._picture, self.to_panel(starts), tips, rgb(TEMPLATE_COLOR), rgb(PAPER))
 
-    def _draw_image(self, image: Image, ground_map: GroundMap) -> None:
+    def _draw_image(self, image: RgbImage, ground_map: GroundMap) -> None:
         height, width = self._picture.shape[:2]
         u, v = (np.arange(0, length + KNOT_PX, KNOT_PX, dtype=float) for length in (width, height))
         knots = np.stack(np.meshgrid(u, v), axis=-1)

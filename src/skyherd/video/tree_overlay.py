@@ -8,7 +8,7 @@ import numpy as np
 from skyherd.analysis.tree_snapshot import Ends, Link, TreeSnapshot
 from skyherd.drawing.canvas import Color, dashes, draw_circle, draw_lines, draw_ring, draw_segments
 from skyherd.drawing.palette import INK, MUTED, PAPER, rgb, unit_rgb
-from skyherd.geometry import Array, Image, IntArray
+from skyherd.geometry import Array, IntArray, RgbImage
 
 FLASH_S = 2.0
 """Simulated time for which an exchanged pair is shown as new, s."""
@@ -29,7 +29,7 @@ class TreeOverlay:
     _changed_s: dict[Ends, float] = field(default_factory=dict, init=False)
 
     def draw_edges(
-        self, image: Image, tree: TreeSnapshot, units: Array, robots: Array, time_s: float
+        self, image: RgbImage, tree: TreeSnapshot, units: Array, robots: Array, time_s: float
     ) -> None:
         """Draw edges between units at (U, 2), and their pairs among robots at (N, 2), all px."""
         self._note_changes(tree, time_s)
@@ -57,7 +57,7 @@ class TreeOverlay:
         self._pairs = pairs
 
 
-def draw_link(image: Image, units: Array, pair: Array, ends: Ends) -> None:
+def draw_link(image: RgbImage, units: Array, pair: Array, ends: Ends) -> None:
     """Draw an edge, half in each unit's colour, and thin lines from both units to shared robots."""
     colors = [unit_rgb(unit) for unit in ends]
     middle = units.mean(axis=0)
@@ -68,7 +68,7 @@ def draw_link(image: Image, units: Array, pair: Array, ends: Ends) -> None:
         draw_lines(image, [[unit, middle]], color, 4)
 
 
-def draw_turn(image: Image, at: Sequence[float], color: Color) -> None:
+def draw_turn(image: RgbImage, at: Sequence[float], color: Color) -> None:
     """Draw the mark of the turn, in the colour of the unit that has it."""
     draw_circle(image, at, 6.5, rgb(PAPER), -1)
     draw_circle(image, at, 5.0, color, -1)
@@ -76,7 +76,7 @@ def draw_turn(image: Image, at: Sequence[float], color: Color) -> None:
 
 
 def draw_pair_marks(
-    image: Image, links: Mapping[Ends, Link], ids: IntArray, robots: Array, radius: float
+    image: RgbImage, links: Mapping[Ends, Link], ids: IntArray, robots: Array, radius: float
 ) -> None:
     """Draw a second, outer ring around each shared robot, in the colours of its two units."""
     for ends, link in links.items():
@@ -87,12 +87,12 @@ def draw_pair_marks(
             draw_ring(image, place, radius + 4.5, [unit_rgb(unit) for unit in ends], 3)
 
 
-def _flash(image: Image, pair: Array) -> None:
+def _flash(image: RgbImage, pair: Array) -> None:
     for place in pair.tolist():
         draw_circle(image, place, 24.0, FLASH, -1)
 
 
-def draw_dead(image: Image, at: Sequence[float], size_px: float, color: Color) -> None:
+def draw_dead(image: RgbImage, at: Sequence[float], size_px: float, color: Color) -> None:
     """Draw a slanted cross of half the width `size_px`: a unit in an outage."""
     u, v = at
     s = size_px

@@ -1,4 +1,4 @@
-"""Crowded starts with random roles: nobody touches, and the shape comes; with the parts off they do touch."""
+"""Crowded starts with random roles: no collisions and convergence; without the measures robots collide."""
 
 import argparse
 
@@ -7,7 +7,7 @@ import pytest
 
 @pytest.fixture(scope="module")
 def benchmark(load_benchmark):
-    """`benchmarks/bodies.py` as a module."""
+    """Return `benchmarks/bodies.py` as a module."""
     return load_benchmark("bodies")
 
 
@@ -24,8 +24,8 @@ def options(**changed) -> argparse.Namespace:
 
 
 @pytest.mark.parametrize("seed", [0, 13, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (3, 6))])
-def test_a_crowd_reaches_its_shape_and_nobody_touches(benchmark, seed) -> None:
-    """One to three units; what the benchmark does a thousand times. 1.5 is beyond its 99 % quantile."""
+def test_crowd_reaches_shape_without_collision(benchmark, seed) -> None:
+    """One to three units, as in the benchmark's thousand runs. 1.5 is beyond its 99 % quantile."""
     row = benchmark.run_mission(seed, options())
     assert row["converged"] and row["collisions"] == 0
     assert row["min_gap_sides"] > 0.2, "the margin"
@@ -33,12 +33,12 @@ def test_a_crowd_reaches_its_shape_and_nobody_touches(benchmark, seed) -> None:
 
 
 @pytest.mark.parametrize("changed", [{"network": "lossy"}, {"kill": True}])
-def test_lost_messages_and_a_death_change_nothing_of_that(benchmark, changed) -> None:
+def test_crowd_is_safe_under_message_loss_and_unit_failure(benchmark, changed) -> None:
     row = benchmark.run_mission(10, options(**changed))
     assert row["units"] == 3 and row["converged"] and row["collisions"] == 0
 
 
-def test_fixed_roles_are_slower_and_still_nobody_touches(benchmark) -> None:
+def test_crowd_with_fixed_roles_is_slower_but_safe(benchmark) -> None:
     free, fixed = (benchmark.run_mission(4, options(without=without)) for without in ([], ["roles"]))
     assert fixed["converged"] and fixed["collisions"] == 0
     assert fixed["time_to_1pct_s"] > 1.5 * free["time_to_1pct_s"]
@@ -46,7 +46,7 @@ def test_fixed_roles_are_slower_and_still_nobody_touches(benchmark) -> None:
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(4, marks=pytest.mark.slow)])
-def test_points_with_fixed_roles_drive_into_one_another(benchmark, seed) -> None:
-    """Negative control: what the parts are for."""
+def test_point_robots_with_fixed_roles_collide(benchmark, seed) -> None:
+    """Negative control: the purpose of the measures."""
     row = benchmark.run_mission(seed, options(without=["roles", "size", "avoidance"]))
     assert row["collisions"] > 0 and row["min_gap_sides"] < -1

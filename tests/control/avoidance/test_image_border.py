@@ -27,7 +27,7 @@ from skyherd.control.avoidance.image_border import (
 )
 from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.speed_bound import closing_bounds, slowed
-from skyherd.control.rectification.ground_map import HORIZON, LENS, SQUEEZE, UNKNOWNS
+from skyherd.control.rectification.ground_map import ANISOTROPY, LENS, PERSPECTIVE, UNKNOWNS
 from skyherd.geometry import to_complex, to_points
 from skyherd.messages import BORDER_IDS, Detections, Proximity, UnitReport
 from skyherd.sim.world import move_bodies
@@ -37,31 +37,31 @@ SIDE_PX = 20.0
 BODIES = BodyRule(radius_sides=1.0, margin_sides=0.0)
 TEAM = np.array([0, 1, 2])
 GOAL_TIMEOUT_S = 2.0
-"""A robot that no image has shown for so long has no goal left, and stands."""
+"""Time after which an unseen robot has only stale goals and is static."""
 
 
 def map_with(squeeze=0.0, horizon=0.0, lens=0.0) -> GroundMap:
     unknowns = np.zeros(UNKNOWNS)
-    unknowns[SQUEEZE] = complex(squeeze).real, complex(squeeze).imag
-    unknowns[HORIZON] = complex(horizon).real, complex(horizon).imag
+    unknowns[ANISOTROPY] = complex(squeeze).real, complex(squeeze).imag
+    unknowns[PERSPECTIVE] = complex(horizon).real, complex(horizon).imag
     unknowns[LENS[0]] = lens
     return GroundMap(unknowns)
 
 
 def margins_px(points: np.ndarray) -> np.ndarray:
-    """Least distances (N,) of image points from the four sides, up to pixels' outer edges."""
+    """Return minimum distances (N,) of image points from the four sides, up to the outer edges of pixels."""
     u, v = points.real, points.imag
     return np.min([u + 0.5, v + 0.5, SIZE[0] - 0.5 - u, SIZE[1] - 0.5 - v], axis=0)
 
 
 def image_points(seed: int, count: int = 400) -> np.ndarray:
-    """Points all over the image and a fifth of it around."""
+    """Return points all over the image and a fifth of it around."""
     rng = np.random.default_rng(seed)
     low, high = -0.2 * SIZE, 1.2 * SIZE
     return to_complex(rng.uniform(low, high, (count, 2)))
 
 
-def test_depths_are_distances_from_the_four_sides() -> None:
+def test_border_depths_equal_distances_from_sides() -> None:
     border = ImageBorder.of(SIZE, GroundMap())
     assert border.depths_px(np.array([10 + 20j])) == pytest.approx(np.array([[20.5, 629.5, 459.5, 10.5]]))
     points = image_points(0)
@@ -73,8 +73,11 @@ def test_depths_are_distances_from_the_four_sides() -> None:
     horizon=st.complex_numbers(max_magnitude=0.25),
     seed=st.integers(0, 2**31),
 )
-def test_under_tilt_and_oblong_pixels_inside_is_what_the_image_shows(squeeze, horizon, seed) -> None:
-    """Both ways, since lines stay lines; the truth is the camera's own pixels, not the rectified ones."""
+def test_border_under_tilt_and_anisotropy_contains_exact_image(squeeze, horizon, seed) -> None:
+    """The equivalence holds in both directions, since lines stay lines.
+
+    The reference is the camera's own pixels, not the rectified ones.
+    """
     ground_map = map_with(squeeze, horizon)
     raw = image_points(seed)
     margins = margins_px(raw)
@@ -86,10 +89,10 @@ def test_under_tilt_and_oblong_pixels_inside_is_what_the_image_shows(squeeze, ho
 
 
 @pytest.mark.parametrize("lens", [-0.2, -0.05, 0.05, 0.2])
-def test_with_a_lens_each_line_touches_the_bent_side_at_its_innermost_point(lens) -> None:
+def test_border_under_lens_touches_innermost_point_of_side(lens) -> None:
     """Barrel and pincushion, tilted: no point of a side lies farther inside, and one lies on the line.
 
-    To 1 % of the bend, which is what the 17 points of a side leave of an arc: (1 / 16)² at the most.
+    The tolerance is 1 % of the bend: 17 points per side leave at most (1 / 16)² of an arc.
     """
     ground_map = map_with(horizon=0.1 - 0.05j, lens=lens)
     border = ImageBorder.of(SIZE, ground_map)
@@ -105,8 +108,8 @@ def test_with_a_lens_each_line_touches_the_bent_side_at_its_innermost_point(lens
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 @pytest.mark.parametrize("side", range(4))
-def test_a_side_is_a_robot_that_stands_at_the_nearest_hidden_place(make_detections, side, heading) -> None:
-    """The same gap, bearing and share as an obstacle's that is drawn there."""
+def test_border_side_equals_robot_at_nearest_hidden_point(make_detections, side, heading) -> None:
+    """Gap, bearing and share are equal to those of an obstacle drawn there."""
     robot, border = 60 + 70j, ImageBorder.of(SIZE, GroundMap())
     depth = border.depths_px(np.array([robot]))[0, side]
     there = robot - border.normals[side] * (depth - HIDDEN_SIDES * SIDE_PX)
@@ -121,10 +124,10 @@ def test_a_side_is_a_robot_that_stands_at_the_nearest_hidden_place(make_detectio
     assert message.shares[told] == message.shares[drawn] == 1.0
 
 
-def test_where_a_bent_side_is_farther_out_than_its_line_the_gap_is_what_the_line_leaves(
+def test_border_gap_of_robot_beyond_line_is_zero(
     make_detections,
 ) -> None:
-    """A robot beyond the line is at no distance from it, however far."""
+    """A robot beyond the line has distance 0 from it, at any depth."""
     straight = ImageBorder.of(SIZE, GroundMap())
     border = ImageBorder(straight.normals, straight.offsets_px + np.array([0, 0, 0, 200.0]))
     seen = make_detections([0], [50 + 240j], sides=[SIDE_PX], size=SIZE)
@@ -132,7 +135,7 @@ def test_where_a_bent_side_is_farther_out_than_its_line_the_gap_is_what_the_line
     assert message.other_ids.tolist() == [BORDER_IDS[3]] and message.distances_sides.tolist() == [0.0]
 
 
-def test_only_whom_it_concerns_and_within_the_horizon(make_detections) -> None:
+def test_border_is_reported_to_concerned_robots_in_horizon(make_detections) -> None:
     seen = make_detections([0, 1, 2], [100 + 240j, 100 + 100j, 320 + 240j], sides=[SIDE_PX] * 3, size=SIZE)
     border = ImageBorder.of(SIZE, GroundMap())
     message = proximity(seen, TEAM, BODIES, HiddenBeyond(border, np.array([0, 2])))
@@ -143,8 +146,8 @@ def test_only_whom_it_concerns_and_within_the_horizon(make_detections) -> None:
     assert plain.distances_sides.tolist() == message.distances_sides[~is_side].tolist()
 
 
-def test_a_robot_is_hidden_once_no_unit_has_seen_it_for_a_second(make_detections, make_report) -> None:
-    """By own image and by others' reports, which count from when their images were taken."""
+def test_robot_is_hidden_after_a_second_unseen_by_all_units(make_detections, make_report) -> None:
+    """Own images and other units' reports count, from the times of their images."""
     hidden = HiddenRobots(TEAM)
 
     def beyond(time_s: float, ids: list[int], *reports) -> HiddenBeyond | None:
@@ -162,12 +165,12 @@ def test_a_robot_is_hidden_once_no_unit_has_seen_it_for_a_second(make_detections
     assert found.concerned_ids.tolist() == [0, 1, 2]
     assert beyond(6.8, [0, 1], other(6.7, [2])) is None, "the other unit has it again"
     found = beyond(8.0, [0, 1], other(7.9, [1]))
-    assert found is not None and found.concerned_ids.tolist() == [0, 2], "1 is in the other unit's image"
+    assert found is not None and found.concerned_ids.tolist() == [0, 2], "the other unit sees 1"
     assert beyond(8.2, [2], other(8.1, [0, 1])) is None
     assert AvoidanceRule.lifetime_s > UNSEEN_S, "the border takes over before robots forget"
 
 
-def test_a_border_is_forgotten_with_the_next_image_that_has_none(make_detections) -> None:
+def test_border_is_removed_by_next_image_without_border(make_detections) -> None:
     memory = NeighborMemory(TEAM, TEAM, lifetime_s=2.0)
     border = HiddenBeyond(ImageBorder.of(SIZE, GroundMap()), TEAM)
 
@@ -184,9 +187,9 @@ def test_a_border_is_forgotten_with_the_next_image_that_has_none(make_detections
 
 @dataclass
 class LoneUnit:
-    """One unit's image over ground 100 px a metre, which moves, and a robot that wants out of it.
+    """Image of one unit over ground, 100 px per metre, which moves, and a robot that tries to leave it.
 
-    Robot 0 is seen; robot 1 stands where the image does not show the whole of its marker, and never moves.
+    Robot 0 is visible. The marker of robot 1 is not completely in the image, and robot 1 never moves.
     """
 
     rng: np.random.Generator
@@ -200,7 +203,7 @@ class LoneUnit:
     )
 
     def min_gap_m(self, make_detections, ticks: int = 150) -> float:
-        """The least gap between the two bodies while robot 0 drives at robot 1 as well as it can."""
+        """Return the minimum gap between the two bodies while robot 0 drives at robot 1 as well as it can."""
         position_m = complex(*self.rng.uniform(-0.8, 0.8, 2))
         heading = self.rng.uniform(-np.pi, np.pi, 1)
         along = self.rng.uniform(-1.0, 1.0)
@@ -231,7 +234,7 @@ class LoneUnit:
         return min_m - 2 * BODIES.radius_sides * 0.2
 
     def _tell(self, memory: NeighborMemory, make_detections, places_m, heading, now_s: float) -> None:
-        """An image 100 px a metre, v down; its message arrives at once."""
+        """Send the message of an image of 100 px per metre, v down; it arrives at once."""
         points = 100 * places_m.conj() + complex(*(SIZE - 1) / 2)
         ids = np.flatnonzero(margins_px(points) > HIDDEN_SIDES * SIDE_PX)
         headings = np.array([-heading[0], 0.0])[ids]
@@ -244,14 +247,14 @@ class LoneUnit:
 
 
 @pytest.mark.parametrize("camera_mps", [0.0, 0.1 + 0.1j, -0.15j])
-def test_nobody_drives_over_a_robot_that_the_image_does_not_show(make_detections, camera_mps) -> None:
-    """At full speed at it, from anywhere, on each of the four sides, under a unit that stands or flies."""
+def test_lone_unit_keeps_robots_off_hidden_robot(make_detections, camera_mps) -> None:
+    """Full speed towards the robot, from anywhere, on each of the four sides, under any unit motion."""
     for seed in range(12):
         unit = LoneUnit(np.random.default_rng(seed), reports_border=True, camera_mps=camera_mps)
         assert unit.min_gap_m(make_detections) > 0, seed
 
 
-def test_without_the_border_it_is_driven_over(make_detections) -> None:
+def test_lone_unit_without_border_allows_collision(make_detections) -> None:
     gaps = [
         LoneUnit(np.random.default_rng(seed), reports_border=False).min_gap_m(make_detections)
         for seed in range(12)
@@ -261,7 +264,7 @@ def test_without_the_border_it_is_driven_over(make_detections) -> None:
 
 @dataclass
 class KnownCamera:
-    """Stands for a rectifier that knows its camera, and is given detections that are rectified already."""
+    """Stand-in for a rectifier with a known camera, which receives rectified detections."""
 
     ground_map: GroundMap
 
@@ -270,8 +273,8 @@ class KnownCamera:
 
 
 @pytest.mark.parametrize("ground_map", [GroundMap(), map_with(horizon=0.1)])
-def test_a_unit_reports_its_border_while_it_misses_a_robot(make_detections, make_report, ground_map) -> None:
-    """As far off as it is in the rectified image; and not while another unit has the robot."""
+def test_unit_reports_border_while_robot_is_missing(make_detections, make_report, ground_map) -> None:
+    """The border has its rectified distance; it is not reported while another unit sees the robot."""
     template = Template(TEAM, np.array([0, 100, 100j]))
     policy, near_only = SafetyRadius(radius=1.5), BodyRule(1.0, margin_sides=0.0, horizon_sides=4.0)
     unit = AerialController(template, policy, Hover(), rectifier=KnownCamera(ground_map), bodies=near_only)

@@ -1,4 +1,4 @@
-"""What robots remember of the messages on bodies near them."""
+"""The robots' memory of the messages on nearby bodies."""
 
 import numpy as np
 
@@ -10,8 +10,8 @@ BODIES = np.array([2, 3, 5, 7, 11])
 """The robots, and an obstacle."""
 
 
-def test_the_memory_holds_the_newest_word_on_each_pair_that_robots_received() -> None:
-    """As a dictionary of pairs has it that is filled message by message; ids that nobody knows among them."""
+def test_neighbor_memory_keeps_newest_message_of_each_pair() -> None:
+    """The reference is a dictionary of pairs filled message by message, with unknown ids among them."""
     rng = np.random.default_rng(17)
     memory = NeighborMemory(ROBOTS, BODIES, lifetime_s=100.0)
     known: dict[tuple[int, int], tuple[float, float]] = {}

@@ -1,4 +1,4 @@
-"""Robots that have a body within their margin drive out of it, wherever their goals are."""
+"""Robots with a body within their margin drive out of it, for any goals."""
 
 import numpy as np
 import pytest
@@ -21,15 +21,15 @@ GAINS = MarkerGains(0.4, 2.0, 0.0, SIDE_M)
 
 
 def nothing(preferred, *, rows, bearings_rad, spreads_rad):
-    """In place of `out_of_margin`."""
+    """Return no escape velocities, as a replacement of `out_of_margin`."""
     return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=complex)
 
 
 def drive(make_detections, seed: int, steps: int = 150) -> tuple[np.ndarray, float]:
-    """How far (2,) two robots are from their goals at the end, m, and their least gap, m.
+    """Return the final distances (2,) of two robots from their goals, m, and their minimum gap, m.
 
-    They begin half a margin apart, with any headings; each has a goal 3 m away, 70 degrees at most off the
-    direction that leads straight away from the other one.
+    They start half a margin apart, with any headings. Each has a goal 3 m away, at most 70 degrees off the
+    direction straight away from the other one.
     """
     rng = np.random.default_rng(seed)
     positions = np.array([0.0, 2.1 * SIDE_M]) + 0j
@@ -53,20 +53,20 @@ def drive(make_detections, seed: int, steps: int = 150) -> tuple[np.ndarray, flo
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_two_robots_within_the_margin_part_and_reach_their_goals(make_detections, seed) -> None:
-    """And come no nearer than they were: the bound is applied last of all."""
+def test_robots_within_margin_separate_and_reach_goals(make_detections, seed) -> None:
+    """They come no closer than at the start, since the bound is applied last."""
     left_m, min_m = drive(make_detections, seed)
     assert left_m.max() < 0.05 and min_m > 0.1 * SIDE_M - 1e-9
 
 
-def test_without_that_some_stand_for_ever(make_detections, monkeypatch) -> None:
+def test_robots_within_margin_without_rule_deadlock(make_detections, monkeypatch) -> None:
     monkeypatch.setattr(speed_bound, "out_of_margin", nothing)
     assert any(drive(make_detections, seed)[0].max() > 2.5 for seed in range(8))
 
 
 @given(seed=st.integers(0, 2**31))
-def test_the_direction_leads_away_from_all_bodies_and_is_the_nearest_such(seed) -> None:
-    """Of 36, by brute force; who needs none, or has none, is left alone."""
+def test_escape_direction_is_nearest_away_from_all_bodies(seed) -> None:
+    """Brute force over 36 directions. Robots that need none, or have none, are unchanged."""
     rng = np.random.default_rng(seed)
     rows = np.sort(rng.integers(0, 6, 9))
     bearings, spreads = rng.uniform(-np.pi, np.pi, 9), rng.uniform(0, 0.8, 9)

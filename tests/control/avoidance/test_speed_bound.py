@@ -1,4 +1,4 @@
-"""Robots keep apart whatever they want, whatever is late or lost; nothing changes where nothing is near."""
+"""Robots keep apart for any preferred velocity, delay and message loss, and are free elsewhere."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ def rule(**changed) -> AvoidanceRule:
 
 @dataclass
 class Crowd:
-    """Robots that want the worst, at one another or anywhere at full speed, and one unit that sees them."""
+    """Robots with adverse preferred velocities at full speed, and one unit that sees them."""
 
     rng: np.random.Generator
     rule: AvoidanceRule
@@ -59,7 +59,7 @@ class Crowd:
         return to_points(placed)
 
     def look(self, tick: int) -> None:
-        """An image 100 px a metre, v down, as a unit at (0, 0) sees it."""
+        """Return an image of 100 px per metre, v down, as a unit at (0, 0) sees it."""
         points = 100 * to_complex(self.positions_m).conj()
         sides = np.full(self.count, 100 * SIDE_M)
         seen = self.make_detections(
@@ -130,9 +130,12 @@ ROBOTS_AS_THEY_ARE = {
 @pytest.mark.parametrize("kind", ROBOTS_AS_THEY_ARE)
 @pytest.mark.parametrize(("latency", "loss"), [(0, 0.0), (2, 0.0), (0, 0.5), (1, 0.9)])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
-def test_bodies_never_touch(make_detections, kind, latency, loss, seed) -> None:
-    """From any start without overlap, with any wishes: docs/bodies.md proves it, the gap only ever shrinks
-    by a factor. Rounding is 1e-9 m. Robots that break the rule touch within 60 ticks, see below."""
+def test_speed_bound_prevents_all_collisions(make_detections, kind, latency, loss, seed) -> None:
+    """Any start without overlap and any preferred velocities: docs/bodies.md has the proof.
+
+    The gap only shrinks by a factor; rounding is 1e-9 m. Robots that violate the rule collide within 60
+    ticks, see below.
+    """
     drive, known = ROBOTS_AS_THEY_ARE[kind]
     age_s = 0.2 + latency * STEP_S
     usual = {
@@ -150,7 +153,7 @@ def test_bodies_never_touch(make_detections, kind, latency, loss, seed) -> None:
 @pytest.mark.parametrize(
     ("kind", "forgotten"), [("brakes", "lag_s"), ("late", "lag_s"), ("fast", "overshoot"), ("exact", "gamma")]
 )
-def test_robots_that_do_not_know_their_wheels_touch(make_detections, kind, forgotten) -> None:
+def test_speed_bound_with_wrong_wheel_limits_fails(make_detections, kind, forgotten) -> None:
     """Negative control: each part of the bound is needed."""
     drive, _ = ROBOTS_AS_THEY_ARE[kind]
     blind = AvoidanceRule(
@@ -167,8 +170,8 @@ def test_robots_that_do_not_know_their_wheels_touch(make_detections, kind, forgo
     assert any(gap < 0 for gap in gaps)
 
 
-def test_what_a_unit_reports_is_true(make_detections) -> None:
-    """Against the ground: distances in marker sides, bearings in each robot's frame, counter-clockwise."""
+def test_proximity_report_equals_ground_truth(make_detections) -> None:
+    """Distances are in marker sides, bearings in each robot's frame, counter-clockwise."""
     rng = np.random.default_rng(8)
     crowd = Crowd(rng, rule(), make_detections, DriveParameters())
     crowd.look(0)
@@ -182,7 +185,7 @@ def test_what_a_unit_reports_is_true(make_detections) -> None:
     assert message.robot_ids.size == 6 * 5 and (message.shares == 0.5).all()
 
 
-def test_an_obstacle_is_all_the_robots_own_to_keep_away_from(make_detections) -> None:
+def test_obstacle_gap_is_entirely_the_robots_share(make_detections) -> None:
     seen = make_detections([0, 1, 40], [0, 300, 60], sides=[20, 20, 20])
     bodies = BodyRule(1.0, margin_sides=0.5, horizon_sides=4.0, obstacles={40: 0.25})
     message = proximity(seen, np.array([0, 1, 2]), bodies)
@@ -191,7 +194,7 @@ def test_an_obstacle_is_all_the_robots_own_to_keep_away_from(make_detections) ->
     assert message.shares.tolist() == [1.0]
 
 
-def test_messages_replace_older_ones_and_clear_what_went_away(make_detections) -> None:
+def test_memory_replaces_stale_messages_and_clears_absent_bodies(make_detections) -> None:
     memory = NeighborMemory(np.array([0, 1]), np.array([0, 1]), 2.0)
     bodies = BodyRule(1.0, horizon_sides=4.0)
 
@@ -204,18 +207,18 @@ def test_messages_replace_older_ones_and_clear_what_went_away(make_detections) -
     send(0.5, 60)
     assert memory.distances_sides[0, BORDER_IDS.size + 1] == 5.0, "an older message changes nothing"
     send(1.2, 0, ids=(0,))
-    assert memory.fresh(1.3)[0].size == 2, "a body that is not seen has not gone"
+    assert memory.fresh(1.3)[0].size == 2, "an unseen body stays in memory"
     send(1.4, 400)
-    assert memory.fresh(1.5)[0].size == 0, "two that are seen far apart have"
+    assert memory.fresh(1.5)[0].size == 0, "a pair seen far apart is removed"
     send(2.0, 100)
-    assert memory.fresh(4.1)[0].size == 0, "and old messages are forgotten"
+    assert memory.fresh(4.1)[0].size == 0, "stale messages are ignored"
 
 
 @pytest.mark.parametrize(("imaged_s", "lead_s"), [(0.0, 0.0), (0.1, 0.0), (0.2, 0.0), (0.3, 0.0), (0.2, 7.0)])
-def test_directions_turn_with_the_robot(make_detections, imaged_s, lead_s) -> None:
-    """From when the image was taken, not from when its message came: at 1 rad/s until 0.5 s.
+def test_memory_bearings_rotate_with_robot(make_detections, imaged_s, lead_s) -> None:
+    """Bearings count from the time of the image, not of reception: at 1 rad/s until 0.5 s.
 
-    Also where images are stamped by a clock that is ahead of the robot's.
+    This also holds if the stamping clock is ahead of the robot's.
     """
     memory = NeighborMemory(np.array([0]), np.array([0, 1]), 2.0)
     for tick in range(5):
@@ -224,11 +227,11 @@ def test_directions_turn_with_the_robot(make_detections, imaged_s, lead_s) -> No
             near = proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0}))
             memory.receive(near, lead_s=np.array([lead_s]))
         memory.record_rotation(np.array([1.0]), 0.1 * tick, 0.1)
-    assert memory.bearings_rad(memory.fresh(0.5 + lead_s)) == pytest.approx([imaged_s - 0.5])
+    assert memory.bearings_rad(memory.fresh(0.5 + lead_s), 0.5) == pytest.approx([imaged_s - 0.5])
 
 
-def test_nothing_near_leaves_the_law_alone(make_detections) -> None:
-    """Bit for bit: robots 10 sides apart whose goals lead away from one another."""
+def test_avoiding_law_without_neighbors_equals_wheel_law(make_detections) -> None:
+    """Bit by bit, for robots 10 sides apart whose goals lead away from one another."""
     gains = MarkerGains(0.5, 2.0, 0.0, SIDE_M)
     rho = np.array([3 + 1j, -2 + 4j])
     memory = NeighborMemory(np.array([0, 1]), np.array([0, 1]), 2.0)
@@ -239,8 +242,9 @@ def test_nothing_near_leaves_the_law_alone(make_detections) -> None:
     )
 
 
-def test_a_detour_is_within_all_bounds() -> None:
-    """Of two robots that meet head-on each keeps to the right; one that is not blocked is left alone."""
+@pytest.mark.smoke
+def test_detour_velocity_satisfies_all_bounds() -> None:
+    """Of two robots that meet head-on each keeps to the right; an unblocked one is unchanged."""
     rng = np.random.default_rng(9)
     rows = np.repeat(np.arange(20), 5)
     bearings, speeds = rng.uniform(-np.pi, np.pi, 100), rng.uniform(0, 0.2, 100)
@@ -257,9 +261,12 @@ def test_a_detour_is_within_all_bounds() -> None:
     assert (head_on.imag < 0).all(), "to the right"
 
 
-def test_the_right_is_taken_though_the_left_is_a_little_shorter() -> None:
-    """A body a tenth of a degree to the right: 80 degrees to the left lead past it 2 % faster, which is less
-    than the penalty of the left; one that lies further to the right is passed on the left."""
+def test_detour_prefers_right_over_slightly_shorter_left() -> None:
+    """A body is a tenth of a degree to the right.
+
+    A direction 80 degrees to the left passes it 2 % faster, which is less than the penalty of the left. A
+    body farther to the right is passed on the left.
+    """
 
     def detour(bearing_deg: float) -> complex:
         bearings = np.radians([bearing_deg])
@@ -272,7 +279,7 @@ def test_the_right_is_taken_though_the_left_is_a_little_shorter() -> None:
 
 
 @pytest.mark.parametrize(("unseen_mps", "left_mps"), [(0.1, 0.1), (0.3, 0.3), (0.5, 0.4)])
-def test_bodies_that_no_message_named_slow_in_every_direction(unseen_mps, left_mps) -> None:
+def test_unreported_bodies_limit_speed_in_every_direction(unseen_mps, left_mps) -> None:
     none = np.zeros(0)
     bounds = Bounds(none.astype(np.int64), none, none, none, unseen_mps=np.array([unseen_mps]))
     for sign in (-1, 1):
@@ -280,17 +287,17 @@ def test_bodies_that_no_message_named_slow_in_every_direction(unseen_mps, left_m
         assert v_mps == pytest.approx(sign * left_mps)
 
 
-def test_a_robot_remembers_its_turns_for_the_whole_lifetime_of_a_message(make_detections) -> None:
-    """An image that is as old as a message may be, to the last bit: times are sums of powers of two."""
+def test_memory_keeps_rotations_for_whole_message_lifetime(make_detections) -> None:
+    """The image has exactly the maximum age: times are sums of powers of two."""
     memory = NeighborMemory(np.array([0]), np.array([0, 1]), 0.5)
     for tick in range(5):
         memory.record_rotation(np.array([1.0]), 0.125 * tick, 0.125)
     seen = make_detections([0, 1], [0, 60], time_s=0.0)
     memory.receive(proximity(seen, np.array([0]), BodyRule(1.0, obstacles={1: 1.0})))
-    assert memory.bearings_rad(memory.fresh(0.5)) == pytest.approx([-0.625])
+    assert memory.bearings_rad(memory.fresh(0.5), 0.5) == pytest.approx([-0.625])
 
 
-def test_a_robot_that_stands_is_slowed_to_nothing_without_a_division() -> None:
+def test_slowed_static_robot_gives_zero_without_division() -> None:
     limits = rule()
     standing = closing_bounds(remembered(0.1), limits, 0.0)
     with np.errstate(divide="raise", invalid="raise"):
@@ -298,8 +305,8 @@ def test_a_robot_that_stands_is_slowed_to_nothing_without_a_division() -> None:
     assert (v_mps.tolist(), omega_radps.tolist()) == ([0.0], [0.0])
 
 
-def test_what_units_know_of_bodies_if_they_are_told_no_more(make_detections) -> None:
-    """A gap of a fifth of a side is kept free, and gaps of up to eight sides are reported."""
+def test_body_rule_defaults_for_margin_and_horizon(make_detections) -> None:
+    """The margin is a fifth of a side, and gaps of up to eight sides are reported."""
     for gap, reported in ((7.9, 2), (8.1, 0)):
         points = 100 * SIDE_M * np.array([0, 2.2 + gap])
         seen = make_detections([0, 1], points, sides=np.full(2, 100 * SIDE_M))
@@ -307,8 +314,8 @@ def test_what_units_know_of_bodies_if_they_are_told_no_more(make_detections) -> 
         assert message.reaches_sides.tolist() == pytest.approx([2.2] * reported)
 
 
-def test_a_gyroscopic_force_turns_to_the_tangent_and_does_not_brake() -> None:
-    """Of the body that blocks most: to the nearer side, to the right if head-on; others are not blocked."""
+def test_gyroscopic_detour_turns_to_tangent_without_braking() -> None:
+    """The tangent is that of the most blocking body, on the nearer side, or to the right if head-on."""
     rows = np.array([0, 0, 1, 2, 3])
     bearings, speeds = np.array([0.3, -1.2, -0.4, 0.0, 3.0]), np.full(5, 0.05)
     blocked, velocities = gyroscopic(
@@ -328,7 +335,7 @@ def test_a_gyroscopic_force_turns_to_the_tangent_and_does_not_brake() -> None:
 
 
 def remembered(age_s: float, distance_sides: float = 10.0) -> NeighborMemory:
-    """One robot that knows of another ahead of it, by a message of an age at time 0."""
+    """Return a memory of one robot with another one ahead, from a message of an age at time 0."""
     memory = NeighborMemory(np.array([0]), np.array([0, 1]), lifetime_s=5.0)
     near = Proximity(
         unit_id=0,
@@ -346,7 +353,7 @@ def remembered(age_s: float, distance_sides: float = 10.0) -> NeighborMemory:
     return memory
 
 
-def test_on_an_older_image_both_robots_may_have_strayed() -> None:
+def test_bearing_slack_of_stale_image_covers_both_motions() -> None:
     """Each at full speed: the line between them turned by up to `asin(2 v age / d)`."""
     age_s, distance_m = 0.5, 10.0 * SIDE_M
     bounds = closing_bounds(remembered(age_s), rule(), 0.0)
@@ -354,14 +361,14 @@ def test_on_an_older_image_both_robots_may_have_strayed() -> None:
     assert closing_bounds(remembered(0.1), rule(), 0.0).slack_rad == 0
 
 
-def test_wheels_that_turn_wrongly_add_to_the_slack() -> None:
-    """By their error of rate, since the image and until the command's last effect."""
+def test_bearing_slack_includes_turn_rate_error() -> None:
+    """The error acts since the image and until the command's last effect."""
     wrong = rule(turn_error_radps=0.3, lag_s=0.2)
     slack_rad = closing_bounds(remembered(0.1), wrong, 0.0).slack_rad
     assert slack_rad == pytest.approx(0.3 * (0.1 + STEP_S + 0.2))
 
 
-def test_wheels_that_creep_have_that_speed_taken_off() -> None:
+def test_speed_limit_is_reduced_by_creep_speed() -> None:
     share_m, age_s = np.array([0.4]), np.array([0.1])
     plain, creeping = rule(), rule(creep_mps=0.05, overshoot=0.25)
     bound_mps = plain.gamma_ps * share_m * np.exp(-plain.gamma_ps * (age_s + STEP_S))
@@ -369,8 +376,8 @@ def test_wheels_that_creep_have_that_speed_taken_off() -> None:
     assert creeping.limit_mps(share_m, age_s) == pytest.approx((bound_mps - 0.05) / 1.25)
 
 
-def test_what_a_robot_may_still_turn_while_its_wheels_lag_counts() -> None:
-    """A body 60 degrees off the way comes nearer to it by `max_turn lag`."""
+def test_slowed_includes_turn_during_actuation_lag() -> None:
+    """A body 60 degrees off the path comes nearer to it by `max_turn lag`."""
     lagging, v = rule(lag_s=0.2), np.array([0.4])
     bounds = Bounds(
         rows=np.array([0]),
@@ -385,15 +392,15 @@ def test_what_a_robot_may_still_turn_while_its_wheels_lag_counts() -> None:
     assert unlagged == pytest.approx(0.1 / np.cos(np.pi / 3))
 
 
-def test_a_body_that_no_message_named_was_beyond_the_horizon() -> None:
-    """Both may come nearer since: each may use up half of the horizon."""
+def test_unreported_body_bound_uses_half_horizon() -> None:
+    """Both bodies may have come nearer since: each may use up half of the horizon."""
     (unseen_mps,) = closing_bounds(remembered(0.1), rule(), 0.0).unseen_mps
     gamma_ps = rule().gamma_ps
     assert unseen_mps == pytest.approx(gamma_ps * 20.0 * SIDE_M / 2 * np.exp(-gamma_ps * (0.1 + STEP_S)))
 
 
-def test_where_clocks_differ_a_message_counts_as_older_by_the_margin() -> None:
-    """All bounds are those of a message that is older by as much, where all clocks agree."""
+def test_clock_margin_increases_message_age() -> None:
+    """All bounds are those of a message older by the margin, with equal clocks."""
     late = closing_bounds(remembered(0.1), rule(clock_margin_s=0.4), 0.0)
     older = closing_bounds(remembered(0.5), rule(), 0.0)
     for name in ("speeds_mps", "slack_rad", "unseen_mps"):
@@ -401,8 +408,8 @@ def test_where_clocks_differ_a_message_counts_as_older_by_the_margin() -> None:
     assert late.speeds_mps[0] < closing_bounds(remembered(0.1), rule(), 0.0).speeds_mps[0]
 
 
-def test_each_robot_takes_the_age_of_its_news_by_its_own_time() -> None:
-    """Two robots with one message on each other; the time of the second one is 0.4 s ahead."""
+def test_message_age_uses_each_robots_own_time() -> None:
+    """Two robots have one message on each other; the time of the second one is 0.4 s ahead."""
     memory = NeighborMemory(np.array([0, 1]), np.array([0, 1]), lifetime_s=5.0)
     pair = Proximity(
         unit_id=0,

@@ -1,4 +1,4 @@
-"""Flight after the robots: whom a unit keeps in view, its own ones and two in common with each neighbour."""
+"""Follow law: a unit keeps its own robots and two in common with each neighbour in view."""
 
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ PLACES = np.array([-0.5 + 0.1j, -0.4 - 0.2j, 0.1 + 0.3j, 0.2 - 0.1j, 0.45 + 0.2j
 
 @pytest.fixture
 def fly(make_detections, make_report):
-    """The last command of a unit that controls all six, beside one that sees each nearer to its own centre.
+    """Return the last command of a unit that controls all six, beside one that sees each nearer.
 
-    That unit controls other robots in each image.
+    The second unit controls other robots in each image.
     """
 
     def command(*theirs):
@@ -35,16 +35,14 @@ def fly(make_detections, make_report):
         pytest.param([5], [0, 1, 2, 3, 4], id="one in common makes no neighbour"),
     ],
 )
-def test_it_keeps_its_own_robots_and_of_those_in_common_the_two_nearest_to_the_centre(
-    fly, theirs, kept
-) -> None:
-    """Towards their centroid, and up by what the farthest of them is beyond the desired radius."""
+def test_follow_keeps_own_and_two_nearest_common_robots(fly, theirs, kept) -> None:
+    """The velocity leads to their centroid; the climb is proportional to the farthest one's excess."""
     command, mean = fly(theirs), PLACES[kept].mean()
     np.testing.assert_allclose(command.lateral_mps, [mean.real, mean.imag], atol=1e-12)
     assert command.climb_mps == pytest.approx(np.abs(PLACES[kept]).max() - 0.3, abs=1e-12)
 
 
-def test_a_robot_that_the_other_gives_up_is_its_own_again(fly) -> None:
+def test_follow_keeps_robot_released_by_neighbor(fly) -> None:
     np.testing.assert_allclose(
         fly([2, 3, 4, 5], [2, 3]).lateral_mps, to_points(PLACES).mean(axis=0), atol=1e-12
     )

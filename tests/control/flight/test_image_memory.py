@@ -1,4 +1,4 @@
-"""Where robots lie in a unit's image that it does not see: by other units, carried along by its own moves."""
+"""Positions of robots outside a unit's view: from other units, updated by the unit's own motion."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,12 @@ from skyherd.control import Template
 from skyherd.control.flight.image_memory import ImageMemory
 
 ROUNDING_PX = 1e-9
-"""Similarities through some hundred pixels, fitted and applied: 1e-16 of them, some ten times over."""
+"""Similarities through some hundred pixels, fitted and applied: 1e-16 of them, some ten times."""
 NO_ID: list[int] = []
 
 
 def scene(seed: int, count: int = 9):
-    """Ground points, and the similarity of each of two cameras that look at them."""
+    """Return ground points, and the similarities of two cameras above them."""
     rng = np.random.default_rng(seed)
     ground = rng.uniform(-3, 3, count) + 1j * rng.uniform(-3, 3, count)
     cameras = [
@@ -38,8 +38,8 @@ def known_points(memory: ImageMemory, ids) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("common", [2, 5])
-def test_a_robot_outside_the_frame_is_placed_where_it_is(make_detections, make_report, seed, common) -> None:
-    """Two robots in common tell the similarity; the others lie where one's own camera would have them."""
+def test_image_memory_places_robot_outside_frame(make_detections, make_report, seed, common) -> None:
+    """Two common robots determine the similarity; the reference is the unit's own camera."""
     _, ground, (ours, theirs), template = scene(seed)
     ids = template.ids
     memory = ImageMemory(template)
@@ -50,7 +50,7 @@ def test_a_robot_outside_the_frame_is_placed_where_it_is(make_detections, make_r
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_other_units_centre_is_found_in_the_own_image(make_detections, make_report, seed) -> None:
+def test_image_memory_places_other_units_image_center(make_detections, make_report, seed) -> None:
     _, ground, (ours, theirs), template = scene(seed)
     memory = ImageMemory(template)
     size = (640, 480)
@@ -64,10 +64,10 @@ def test_the_other_units_centre_is_found_in_the_own_image(make_detections, make_
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_points_are_carried_along_as_the_unit_moves(make_detections, seed) -> None:
-    """The camera turns, climbs and drifts for thirty images; robots out of view since the first one stay put.
+def test_image_memory_moves_points_with_unit(make_detections, seed) -> None:
+    """The camera turns, climbs and drifts for thirty images; robots unseen since the first image are static.
 
-    Rounding adds up image by image.
+    Rounding accumulates image by image.
     """
     rng, ground, (camera, _), template = scene(seed)
     memory = ImageMemory(template)
@@ -83,8 +83,8 @@ def test_points_are_carried_along_as_the_unit_moves(make_detections, seed) -> No
     np.testing.assert_array_equal(memory.seen_s, [3.0] * 3 + [0.0] * 6)
 
 
-def test_one_robot_in_common_tells_nothing(make_detections, make_report) -> None:
-    """Neither a similarity to another image nor the own motion: what is not seen is unknown, or stays."""
+def test_image_memory_ignores_single_common_robot(make_detections, make_report) -> None:
+    """One robot determines neither the similarity to another image nor the own motion."""
     _, ground, (ours, theirs), template = scene(1)
     memory = ImageMemory(template)
     report = make_report(1, template.ids, theirs(ground), NO_ID)
@@ -95,7 +95,7 @@ def test_one_robot_in_common_tells_nothing(make_detections, make_report) -> None
     assert known_points(memory, template.ids[:1]) == before
 
 
-def test_two_robots_on_one_spot_tell_nothing(make_detections, make_report) -> None:
+def test_image_memory_ignores_coincident_common_robots(make_detections, make_report) -> None:
     _, ground, (ours, theirs), template = scene(2)
     memory = ImageMemory(template)
     theirs_px = theirs(ground)
@@ -106,8 +106,8 @@ def test_two_robots_on_one_spot_tell_nothing(make_detections, make_report) -> No
     assert memory.known.sum() == 2
 
 
-def test_points_from_the_centre_are_in_half_images(make_detections) -> None:
-    """Of robots that have a place; those that have none are left out."""
+def test_image_memory_centred_points_are_in_half_images(make_detections) -> None:
+    """Robots without a known position are omitted."""
     template = Template(np.arange(4), np.array([0, 1, 1j, 2]))
     memory = ImageMemory(template)
     seen = make_detections([0, 2], [399.5 + 399.5j, 799.5 + 199.5j])
@@ -118,10 +118,8 @@ def test_points_from_the_centre_are_in_half_images(make_detections) -> None:
 
 
 @pytest.mark.parametrize("first", [1, 2])
-def test_units_that_share_no_robot_with_this_one_are_placed_through_others(
-    make_detections, make_report, first
-) -> None:
-    """Unit 2 shares robots with unit 1 alone, in whatever order their reports come; unit 3 with nobody."""
+def test_image_memory_places_units_through_chain(make_detections, make_report, first) -> None:
+    """Unit 2 shares robots with unit 1 alone, in any order of reports; unit 3 with no unit."""
     _, ground, (ours, theirs), template = scene(3)
     ids = template.ids
     seen = {1: slice(2, 6), 2: slice(4, 8), 3: slice(8, 9)}

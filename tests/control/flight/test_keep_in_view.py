@@ -1,4 +1,4 @@
-"""Flight for the tree protocol: what a unit controls stays in view, whether it is seen or remembered."""
+"""Flight of the tree protocol: controlled robots stay in view, whether seen or remembered."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ NO_ID: list[int] = []
 
 
 def view_of(make_detections, points, ids=None, **extra):
-    """Robots at points `x + iy` in half images from the centre."""
+    """Return detections of robots at points `x + iy` in half images from the centre."""
     points = np.asarray(points, dtype=complex)
     ids = np.arange(points.size) if ids is None else ids
     return make_detections(ids, CENTRE + HALF_PX * points, **extra)
@@ -23,8 +23,8 @@ def view_of(make_detections, points, ids=None, **extra):
 @pytest.mark.parametrize(
     ("farthest", "climb"), [(0.9, 0.15 - 0.02), (0.5, -0.25 + 0.02), (0.76, 0.0), (0.74, 0.0)]
 )
-def test_height_and_zoom_hold_the_farthest_robot(make_detections, farthest, climb) -> None:
-    """In proportion to what is beyond 0.75 and a dead band of 0.02; the zoom against it."""
+def test_height_and_zoom_regulate_farthest_robot(make_detections, farthest, climb) -> None:
+    """The climb is proportional to the excess over 0.75 and a dead band of 0.02; the zoom is opposite."""
     seen = view_of(make_detections, [farthest, -0.1, 0.2j])
     command = KeepInView(TEMPLATE, desired_radius=0.75, climb_gain_mps=2.0, zoom_gain_ps=0.3).command(
         seen, FlightTask(seen.ids), []
@@ -33,8 +33,9 @@ def test_height_and_zoom_hold_the_farthest_robot(make_detections, farthest, clim
     assert command.zoom_rate_ps == pytest.approx(-0.3 * climb, abs=1e-12)
 
 
-def test_it_flies_to_the_middle_of_the_set_and_of_nothing_else(make_detections) -> None:
-    """The bounding box of robots 0-2; robot 3 is another unit's."""
+@pytest.mark.smoke
+def test_lateral_velocity_leads_to_middle_of_control_set(make_detections) -> None:
+    """The bounding box is that of robots 0-2; robot 3 is another unit's."""
     seen = view_of(make_detections, [0.1 + 0.2j, 0.5 + 0.6j, 0.3 + 0.3j, -0.9 - 0.9j])
     command = KeepInView(TEMPLATE, desired_radius=0.75, lateral_gain_mps=0.5).command(
         seen, FlightTask(np.array([0, 1, 2])), []
@@ -42,8 +43,8 @@ def test_it_flies_to_the_middle_of_the_set_and_of_nothing_else(make_detections) 
     np.testing.assert_allclose(command.lateral_mps, 0.5 * np.array([0.3, 0.4]), atol=1e-12)
 
 
-def test_a_duty_outside_the_frame_draws_it_there_and_up(make_detections, make_report) -> None:
-    """Robot 3 is seen by another unit alone, which has the same camera half an image away."""
+def test_controlled_robot_outside_frame_attracts_unit(make_detections, make_report) -> None:
+    """Only another unit, with the same camera half an image away, sees robot 3."""
     ground = np.array([0.1, 0.4j, -0.2, 1.6])
     seen = view_of(make_detections, ground[:3])
     report = make_report(1, range(4), CENTRE + HALF_PX * (ground - 1.0), NO_ID)
@@ -53,8 +54,8 @@ def test_a_duty_outside_the_frame_draws_it_there_and_up(make_detections, make_re
     assert command.climb_mps == pytest.approx(1.6 - 0.75, abs=1e-9)
 
 
-def test_what_it_seeks_draws_it_up_and_aside_while_its_own_robots_are_well_in_view(make_detections) -> None:
-    """Robot 3, at 0.9, is sought; with an own robot at 0.8, beyond the radius, it draws up, and not aside."""
+def test_sought_robot_attracts_only_while_own_robots_in_view(make_detections) -> None:
+    """Robot 3, at 0.9, is sought. With an own robot at 0.8, beyond the radius, it causes climb only."""
     for own, middle in ((0.5, (0.9 - 0.3) / 2), (0.8, (0.8 - 0.3) / 2)):
         seen = view_of(make_detections, [own, -0.3, 0.1, 0.9])
         command = KeepInView(TEMPLATE, desired_radius=0.75, dead_band=0.0).command(
@@ -65,8 +66,8 @@ def test_what_it_seeks_draws_it_up_and_aside_while_its_own_robots_are_well_in_vi
 
 
 @pytest.mark.parametrize(("side_px", "climb"), [(48.0, 0.25), (12.6, 0.05), (12.0, 0.0), (9.0, -0.25)])
-def test_it_goes_no_higher_than_markers_can_be_seen_from(make_detections, side_px, climb) -> None:
-    """A robot 0.25 too far out; 12 px are the least: up by what is left of them, down by what lacks."""
+def test_climb_is_limited_by_minimum_marker_side(make_detections, side_px, climb) -> None:
+    """A robot is 0.25 too far out and the minimum side is 12 px: the climb uses the margin that is left."""
     seen = view_of(make_detections, [1.0, 0.1, -0.2j], sides=[side_px] * 3)
     flight = KeepInView(TEMPLATE, desired_radius=0.75, dead_band=0.0, zoom_gain_ps=0.3)
     command = flight.command(seen, FlightTask(seen.ids), [])
@@ -84,8 +85,8 @@ def test_it_goes_no_higher_than_markers_can_be_seen_from(make_detections, side_p
     )
 
 
-def test_a_duty_that_is_nowhere_makes_it_climb(make_detections) -> None:
-    """Robot 5 was never seen: up, although those in view are well inside."""
+def test_controlled_robot_without_position_makes_unit_climb(make_detections) -> None:
+    """Robot 5 was never seen; the visible robots are well inside."""
     seen = view_of(make_detections, [0.1, 0.1j, -0.1])
     flight = KeepInView(TEMPLATE, desired_radius=0.75)
     assert flight.command(seen, FlightTask(np.arange(3)), []).climb_mps < 0
@@ -93,11 +94,11 @@ def test_a_duty_that_is_nowhere_makes_it_climb(make_detections) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_flown_in_a_simple_world_all_duties_come_into_view_with_margin(make_detections, seed) -> None:
-    """Height and place under the command, robots at rest, some out of view at first.
+def test_flight_brings_control_set_into_view_with_margin(make_detections, seed) -> None:
+    """Height and position follow the command, robots are static, some out of view at first.
 
-    The farthest ends at 0.75. A linear loop: after 60 s at gains near one are left exp(-30) and the dead
-    band, 0.02.
+    The farthest ends at 0.75. The loop is linear: after 60 s at gains near one the error is exp(-30) plus the
+    dead band, 0.02.
     """
     rng = np.random.default_rng(seed)
     ground = rng.uniform(-4, 4, 8) + 1j * rng.uniform(-4, 4, 8)
@@ -116,12 +117,10 @@ def test_flown_in_a_simple_world_all_duties_come_into_view_with_margin(make_dete
 
 
 @pytest.mark.parametrize("factor", [2.0, 0.37])
-def test_the_same_view_gives_the_same_command_whatever_its_pixels(
-    make_detections, make_report, factor
-) -> None:
-    """Points, marker sides and the reports of others through another sensor: to rounding, 1e-12.
+def test_keep_in_view_command_is_independent_of_pixel_size(make_detections, make_report, factor) -> None:
+    """Points, marker sides and other units' reports through another sensor: equal to rounding, 1e-12.
 
-    But for `min_side_px`, which is about pixels.
+    `min_side_px` is the exception, as it is in pixels.
     """
     points = np.array([0.1 + 0.2j, 0.5 - 0.6j, -0.3, 0.8j])
     seen = view_of(make_detections, points, sides=[30.0, 20.0, 25.0, 28.0])
@@ -149,8 +148,8 @@ def test_the_same_view_gives_the_same_command_whatever_its_pixels(
 
 
 @pytest.mark.parametrize(("apart", "parts"), [(0.1, True), (0.29, True), (0.31, False)])
-def test_units_that_come_too_near_part(make_detections, make_report, apart, parts) -> None:
-    """Six marker sides of 20 px are 0.3 half images: nearer than that, away, the more the nearer."""
+def test_units_too_close_separate(make_detections, make_report, apart, parts) -> None:
+    """Six marker sides of 20 px are 0.3 half images: below that, the velocity grows with proximity."""
     points = np.array([0.2 + 0.2j, -0.2 - 0.2j, 0.2 - 0.2j, -0.2 + 0.2j])
     seen = view_of(make_detections, points)
     report = make_report(1, range(4), CENTRE + HALF_PX * (points - apart), NO_ID)
@@ -160,7 +159,7 @@ def test_units_that_come_too_near_part(make_detections, make_report, apart, part
 
 
 @pytest.mark.parametrize(("unit", "stays"), [(0, False), (2, True)])
-def test_of_units_with_the_same_set_the_first_alone_flies(make_detections, make_report, unit, stays) -> None:
+def test_only_first_of_units_with_same_set_flies(make_detections, make_report, unit, stays) -> None:
     points = np.array([0.9, 0.6, 0.7j])
     seen = view_of(make_detections, points, unit_id=unit)
     report = make_report(1, range(3), CENTRE + HALF_PX * (points + 0.8), [0, 1, 2])
@@ -169,11 +168,11 @@ def test_of_units_with_the_same_set_the_first_alone_flies(make_detections, make_
     two_of_them = KeepInView(TEMPLATE, desired_radius=0.75).command(
         seen, FlightTask(np.array([0, 1])), [report]
     )
-    assert two_of_them.climb_mps > 0, "another set, another duty"
+    assert two_of_them.climb_mps > 0, "another set"
 
 
-def test_units_without_robots_are_not_held_to_share_a_set(make_detections, make_report) -> None:
-    """It keeps in view what it sees, and climbs."""
+def test_units_without_robots_do_not_share_a_set(make_detections, make_report) -> None:
+    """The unit keeps all visible robots in view and climbs."""
     seen = view_of(make_detections, [0.3, 0.1j, 0.2], unit_id=1)
     report = make_report(0, NO_ID, NO_ID, NO_ID)
     command = KeepInView(TEMPLATE, desired_radius=0.75).command(
@@ -183,7 +182,7 @@ def test_units_without_robots_are_not_held_to_share_a_set(make_detections, make_
     np.testing.assert_allclose(command.lateral_mps, [0.15, 0.05], atol=1e-12)
 
 
-def test_a_unit_that_sees_nothing_climbs(make_detections) -> None:
+def test_unit_without_detections_climbs(make_detections) -> None:
     seen = make_detections([], [])
     command = KeepInView(TEMPLATE, desired_radius=0.75).command(
         seen, FlightTask(np.array([], dtype=np.int64)), []
@@ -192,9 +191,9 @@ def test_a_unit_that_sees_nothing_climbs(make_detections) -> None:
 
 
 def fly_below_a_ceiling(make_detections, seconds, **settings):
-    """A unit at its ceiling, over robots along a line of four views: who is seen in each image.
+    """Return the robots visible in each image for a unit at its ceiling, over a line of robots of four views.
 
-    Robots stand still; what lies within one half image of the unit's place is in view.
+    Robots are static. A robot is visible within half an image of the unit's position.
     """
     ground = np.array([-2.4, -2.0, -1.2, -0.6, 0.0, 0.3, 1.1, 1.9])
     flight = KeepInView(TEMPLATE, separation_sides=0.0, **settings)
@@ -218,18 +217,18 @@ def fly_below_a_ceiling(make_detections, seconds, **settings):
     return views
 
 
-def test_a_unit_at_its_ceiling_visits_robots_that_it_cannot_see_all_at_once(make_detections) -> None:
-    """Each of eight robots comes into view again and again, for as long as it takes to adopt one."""
+def test_unit_at_ceiling_patrols_all_robots(make_detections) -> None:
+    """Each of eight robots comes into view repeatedly, for as long as an adoption takes."""
     views = fly_below_a_ceiling(make_detections, 120.0)
     for robot in range(8):
         seen = np.array([robot in ids for ids in views])
         edges = np.flatnonzero(np.diff(seen.astype(int)) == 1)
         assert edges.size >= 2 or seen[-1], robot
         assert seen.sum() * 0.2 >= 4.0
-    assert min(ids.size for ids in views) >= 2, "it always knows where it is"
+    assert min(ids.size for ids in views) >= 2, "its position is always determined"
 
 
-def test_without_a_patrol_it_would_stay_over_the_middle(make_detections) -> None:
-    """Negative control: as soon as the first look lasts for ever, robots at the ends are never seen."""
+def test_unit_at_ceiling_without_patrol_misses_robots(make_detections) -> None:
+    """Negative control: with an infinite patrol time robots at the ends are never seen."""
     views = fly_below_a_ceiling(make_detections, 120.0, patrol_s=1e9)
     assert len({robot for ids in views[100:] for robot in ids.tolist()}) < 8

@@ -1,4 +1,4 @@
-"""Roles: the best map is found, whatever the similarity, and straight ways under it do not cross."""
+"""Role assignment: the best map is found under any similarity, and straight paths under it do not cross."""
 
 from itertools import permutations
 
@@ -16,7 +16,7 @@ def draw(seed: int, count: int = 6) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_it_is_the_best_of_all_maps(seed) -> None:
+def test_assignment_is_best_of_all_maps(seed) -> None:
     robots, points = draw(seed)
     found = best_assignment(robots, points, ALIKE, starts=24)
     best = max(abs(correlation(robots, points[list(order)])) for order in permutations(range(6)))
@@ -24,14 +24,14 @@ def test_it_is_the_best_of_all_maps(seed) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_assigning_never_makes_it_worse(seed) -> None:
-    """From the present map alone, without other starts."""
+def test_assignment_never_increases_residual(seed) -> None:
+    """The search starts from the present map alone."""
     robots, points = draw(seed, 30)
     found = best_assignment(robots, points, np.zeros(30, dtype=int))
     assert abs(correlation(robots, points[found])) >= abs(correlation(robots, points))
 
 
-def test_place_size_and_rotation_have_no_part() -> None:
+def test_assignment_is_invariant_to_similarity() -> None:
     robots, points = draw(3)
     map_ = best_assignment(robots, points, ALIKE, starts=24)
     moved = 3.7 * np.exp(2.1j) * robots + (50 - 20j)
@@ -39,7 +39,7 @@ def test_place_size_and_rotation_have_no_part() -> None:
     assert best_assignment(robots, 0.2 * points - 4j, ALIKE, starts=24).tolist() == map_.tolist()
 
 
-def test_robots_exchange_within_their_class_only() -> None:
+def test_assignment_keeps_classes() -> None:
     robots, points = draw(4)
     classes = np.array([0, 0, 0, 1, 1, 1])
     found = best_assignment(robots, points, classes, starts=24)
@@ -49,10 +49,12 @@ def test_robots_exchange_within_their_class_only() -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_straight_ways_at_one_pace_keep_apart(seed) -> None:
-    """Under a best assignment (Δx, Δd) >= 0 for every two robots, so that all the way from start x to goal d
+def test_assigned_straight_paths_keep_distance(seed) -> None:
+    """Under a best assignment (Δx, Δd) >= 0 for every two robots. From start x to goal d
 
-    |Δ(t)|² >= (1-t)² |Δx|² + t² |Δd|², and the least distance is at least min(|Δx|, |Δd|) / sqrt(2).
+        |Δ(t)|² >= (1-t)² |Δx|² + t² |Δd|²,
+
+    so the minimum distance is at least min(|Δx|, |Δd|) / sqrt(2).
     """
     robots, points = draw(seed, 12)
     points = points[best_assignment(robots, points, np.zeros(12, dtype=int), starts=24)]

@@ -1,4 +1,4 @@
-"""Roles as units exchange them: one map at a time, through losses, deaths and newcomers."""
+"""Exchange of roles between units: one map at a time, under message loss, failures and newcomers."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def whole(points) -> Registration:
 
 
 class Agents:
-    """Units that see all robots from anywhere, and hear each other's last report with some luck."""
+    """Units that see all robots from anywhere, and receive each other's last report at random."""
 
     def __init__(self, make_report, units=3, loss=0.0, seed=0) -> None:
         self.rng, self.loss = np.random.default_rng([seed, 2]), loss
@@ -55,8 +55,8 @@ class Agents:
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))])
 @pytest.mark.parametrize(("loss", "longest"), [(0.0, 1), (0.3, 10), (0.8, 60)])
-def test_units_come_to_one_map_and_it_stays(make_report, seed, loss, longest) -> None:
-    """Two units differ for as long as the newest map is not heard: `loss^longest` is below 1e-5."""
+def test_roles_converge_to_one_map(make_report, seed, loss, longest) -> None:
+    """Two units differ until the newest map is received: `loss^longest` is below 1e-5."""
     agents = Agents(make_report, loss=loss, seed=seed)
     robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)
     before = residual(robots, TEMPLATE.points_px)
@@ -70,10 +70,11 @@ def test_units_come_to_one_map_and_it_stays(make_report, seed, loss, longest) ->
     assert len(set(after)) == 1 and after[0] < before and name[0] >= 1
     for tick in range(400, 500):
         agents.step(0.2 * tick, robots)
-    assert agents.maps() == {name}, "what cannot be improved is left alone"
+    assert agents.maps() == {name}, "an optimal map is unchanged"
 
 
-def test_every_exchange_lowers_the_residual_by_the_gain(make_report) -> None:
+@pytest.mark.smoke
+def test_role_exchange_lowers_residual_by_gain(make_report) -> None:
     agents = Agents(make_report, units=1)
     robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)
     versions = 0
@@ -90,7 +91,7 @@ def test_every_exchange_lowers_the_residual_by_the_gain(make_report) -> None:
     assert versions >= 1
 
 
-def test_the_map_outlives_its_author_and_reaches_newcomers(make_report) -> None:
+def test_role_map_survives_author_and_reaches_newcomers(make_report) -> None:
     agents = Agents(make_report)
     robots = agents.rng.normal(size=N) + 1j * agents.rng.normal(size=N)
     for tick in range(20):
@@ -106,7 +107,7 @@ def test_the_map_outlives_its_author_and_reaches_newcomers(make_report) -> None:
     assert agents.maps() == {name}
 
 
-def test_of_two_maps_made_at_once_the_lower_units_holds(make_report) -> None:
+def test_simultaneous_role_maps_resolve_to_lower_unit(make_report) -> None:
     first, second = (RoleMap(3, unit, np.roll(np.arange(N), unit)) for unit in (1, 2))
     mine = Roles(RULE, TEMPLATE)
     reports = [
@@ -118,7 +119,7 @@ def test_of_two_maps_made_at_once_the_lower_units_holds(make_report) -> None:
     assert newest_roles([None], N).tolist() == list(range(N))
 
 
-def test_fixed_roles_stay(make_report) -> None:
+def test_fixed_roles_never_change(make_report) -> None:
     mine = Roles(None, TEMPLATE)
     mine.receive([replace(make_report(1, [], [], []), roles=RoleMap(3, 1, np.roll(np.arange(N), 1)))])
     assert not mine.may_exchange(0, 0.0, []) and not mine.exchange(0, whole(RING[::-1]))
@@ -126,7 +127,7 @@ def test_fixed_roles_stay(make_report) -> None:
     assert mine.shape.points_px.tolist() == TEMPLATE.points_px.tolist()
 
 
-def test_robots_of_unknown_place_keep_their_roles() -> None:
+def test_robots_with_unknown_position_keep_roles() -> None:
     rng = np.random.default_rng(5)
     known = np.arange(N) < 8
     mine = Roles(RULE, TEMPLATE)
@@ -134,13 +135,13 @@ def test_robots_of_unknown_place_keep_their_roles() -> None:
     assert mine.map.roles[8:].tolist() == list(range(8, N))
 
 
-def test_a_map_that_is_no_permutation_is_refused() -> None:
-    with pytest.raises(MessageError, match="no permutation"):
+def test_role_map_rejects_non_permutation() -> None:
+    with pytest.raises(MessageError, match="expected a permutation"):
         RoleMap(0, 0, np.array([0, 0, 1]))
 
 
-def test_a_registration_reaches_along_a_chain_of_views(make_detections, make_report) -> None:
-    """Unit 0 sees robots 0-4, unit 1 sees 3-8, unit 2 sees 7-11: two in common tell each next similarity."""
+def test_registration_follows_chain_of_views(make_detections, make_report) -> None:
+    """Unit 0 sees robots 0-4, unit 1 sees 3-8, unit 2 sees 7-11: two common robots give each similarity."""
     rng = np.random.default_rng(6)
     ground = 300 * (rng.normal(size=N) + 1j * rng.normal(size=N))
     views = [slice(0, 5), slice(3, 9), slice(7, 12)]
@@ -156,8 +157,8 @@ def test_a_registration_reaches_along_a_chain_of_views(make_detections, make_rep
     )
 
 
-def test_a_unit_exchanges_in_its_own_slot_and_on_the_map_of_all(make_report) -> None:
-    """Slots of a second go round: unit 0 has the even ones. Either condition alone is not enough."""
+def test_role_exchange_needs_own_slot_and_common_map(make_report) -> None:
+    """Slots of a second alternate: unit 0 has the even ones. Either condition alone is not sufficient."""
 
     def report(role_map: RoleMap | None):
         return replace(make_report(1, [], [], []), roles=role_map)
@@ -173,7 +174,7 @@ def test_a_unit_exchanges_in_its_own_slot_and_on_the_map_of_all(make_report) -> 
 
 
 @pytest.mark.parametrize("known", [0, 1])
-def test_with_fewer_than_two_known_places_nothing_is_exchanged(known) -> None:
+def test_role_exchange_needs_two_known_positions(known) -> None:
     mine = Roles(RULE, TEMPLATE)
     assert not mine.exchange(0, Registration(RING[::-1], np.arange(N) < known))
     assert mine.map.version == 0

@@ -1,4 +1,4 @@
-"""One shape after another: who forms what when, in the file, in the loop and in the recording."""
+"""Sequence of shapes: the present shape in the file, in the loop and in the recording."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ IDS = np.arange(3)
 FIRST, SECOND, THIRD = (Template(IDS, np.array([0, 1, z])) for z in (1j, 2j, 3j))
 
 
-def test_each_shape_holds_from_its_time_on() -> None:
+def test_schedule_returns_shape_from_its_time_on() -> None:
     program = Schedule(FIRST, ((5.0, SECOND), (8.0, THIRD)))
     assert [program.at(t) for t in (0.0, 4.9, 5.0, 7.9, 8.0, 99.0)] == [
         FIRST,
@@ -37,12 +37,12 @@ def test_each_shape_holds_from_its_time_on() -> None:
         (((5.0, Template(np.arange(2), np.array([0, 1]))),), "another team"),
     ],
 )
-def test_a_program_that_makes_no_sense_is_refused(later, said) -> None:
+def test_schedule_rejects_invalid_sequence(later, said) -> None:
     with pytest.raises(InputError, match=said):
         Schedule(FIRST, later)
 
 
-def test_a_wrong_later_shape_names_the_key(scenario_tree) -> None:
+def test_schedule_error_for_wrong_shape_names_key(scenario_tree) -> None:
     tree = scenario_tree("triangle")
     tree["template"]["then"] = [{"at_s": 30.0, "shape": "circle", "points": [[0, 0]]}]
     with pytest.raises(InputError, match=r"template\.then.*exactly one of points, shape and image"):
@@ -51,14 +51,14 @@ def test_a_wrong_later_shape_names_the_key(scenario_tree) -> None:
 
 @pytest.fixture(scope="module")
 def two_shapes():
-    """One unit, a dozen robots or so in a crowd: 15 s for each of two shapes; its mission and steps."""
+    """Return mission and steps of one unit and about a dozen robots in a crowd: two shapes, 15 s each."""
     tree = crowded_mission(4) | {"perception": "ideal", "duration_s": 30.0}
     tree["template"]["then"] = [{"at_s": 15.0, "shape": "circle"}]
     mission = make_mission(tree)
     return mission, list(run_steps(mission))
 
 
-def test_a_team_forms_one_shape_and_then_the_other(two_shapes) -> None:
+def test_team_forms_scheduled_shapes_in_order(two_shapes) -> None:
     mission, steps = two_shapes
     errors = {round(step.time_s, 1): step.metrics.shape.error for step in steps}
     assert errors[14.8] < 0.01 and errors[30.0] < 0.01
@@ -72,8 +72,8 @@ def test_a_team_forms_one_shape_and_then_the_other(two_shapes) -> None:
     assert min(gaps) > 0
 
 
-def test_a_recording_has_the_roles_and_all_shapes(two_shapes, tmp_path) -> None:
-    """Read back, the run is the same, to its summary: what is drawn later knows who went where."""
+def test_recording_contains_roles_and_all_shapes(two_shapes, tmp_path) -> None:
+    """The run read back is identical, including its summary: later drawings know the roles."""
     mission, steps = two_shapes
     with McapRecorder(tmp_path / "run.mcap", mission) as recorder:
         for step in steps:

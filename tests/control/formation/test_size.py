@@ -1,4 +1,4 @@
-"""The shape's size: the nearest fit within bounds, the same for all units, and robots that reach it."""
+"""Size of the shape: the best fit within bounds, equal for all units, and robots that reach it."""
 
 from dataclasses import replace
 
@@ -25,8 +25,8 @@ def residual(turn: complex, points, robots) -> float:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize(("low", "high"), [(0.8, np.inf), (0.0, 0.1), (0.5, 0.5)])
-def test_a_bounded_fit_is_the_nearest_within_the_bounds(seed, low, high) -> None:
-    """Against a numerical search over size and rotation, started all around."""
+def test_resized_similarity_is_best_fit_within_bounds(seed, low, high) -> None:
+    """The reference is a numerical search over size and rotation, with starts all around."""
     points, robots = draw(seed)
     fitted = fit_similarity(points, robots).resized(low, high)
     assert low - 1e-12 <= fitted.scale <= high + 1e-12
@@ -41,8 +41,8 @@ def test_a_bounded_fit_is_the_nearest_within_the_bounds(seed, low, high) -> None
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_goals_are_the_gradient_of_the_bounded_cost(seed) -> None:
-    """Lemma 2 with the floor active: dV/dx = x - d, by central differences (error of second order)."""
+def test_bounded_goals_equal_gradient_of_lyapunov_function(seed) -> None:
+    """Lemma 2 with an active bound: dV/dx = x - d, by central differences (error of second order)."""
     points, robots = draw(seed)
     low = 2 * fit_similarity(points, robots).scale
 
@@ -60,17 +60,17 @@ def test_goals_are_the_gradient_of_the_bounded_cost(seed) -> None:
             assert slope == pytest.approx((away * np.conj(way)).real, abs=1e-7)
 
 
-def test_bounds_are_in_marker_sides_between_the_two_nearest_points() -> None:
+def test_size_bounds_scale_with_nearest_point_distance() -> None:
     template = Template(np.arange(3), np.array([0, 10, 35j]))
     assert SizeRule(3.0, 6.0).scales(template, 20.0) == (6.0, 12.0)
     assert SizeRule().is_free and SizeRule().scales(template, 20.0) == (0.0, np.inf)
 
 
 @pytest.mark.parametrize("units", [2, 4])
-def test_units_that_measure_differently_agree(make_detections, make_report, units) -> None:
+def test_side_consensus_reduces_disagreement(make_detections, make_report, units) -> None:
     """A chain of units, each 2 % off its neighbour, in images of different scale.
 
-    The agreed sides differ by a share of what the measured ones do, which falls with LEAK.
+    The agreed sides differ by a share of the differences of the measured ones; the share falls with LEAK.
     """
     rng = np.random.default_rng(4)
     ground = rng.normal(size=6) + 1j * rng.normal(size=6)
@@ -101,10 +101,8 @@ def test_units_that_measure_differently_agree(make_detections, make_report, unit
 @pytest.mark.parametrize(
     ("step_s", "rectify"), [(0.2, False), pytest.param(0.1, True, marks=pytest.mark.slow)]
 )
-def test_a_team_keeps_above_the_floor_or_takes_the_size_that_is_wanted(
-    scenario_tree, size, spacing_sides, step_s, rectify
-) -> None:
-    """Triangle with its roles turned about shrinks to 3.5 sides where nothing holds it; side 0.5 m."""
+def test_team_reaches_bounded_or_given_size(scenario_tree, size, spacing_sides, step_s, rectify) -> None:
+    """The triangle with permuted roles shrinks to 3.5 sides without a bound; a side is 0.5 m."""
     tree = scenario_tree("triangle") | {
         "perception": "ideal",
         "duration_s": 40.0,

@@ -6,8 +6,15 @@ from scipy.optimize import least_squares
 from seen_squares import FOCAL_PX, View, random_robots
 
 from skyherd.control import GroundMap
-from skyherd.control.rectification.ground_map import HORIZON, LENS, SQUEEZE, UNKNOWNS, USUAL_FOCAL, local_maps
-from skyherd.control.rectification.square_shapes import log_sides, relative_squeezes
+from skyherd.control.rectification.ground_map import (
+    ANISOTROPY,
+    LENS,
+    PERSPECTIVE,
+    UNKNOWNS,
+    USUAL_FOCAL,
+    local_maps,
+)
+from skyherd.control.rectification.square_shapes import log_sides, relative_anisotropies
 from skyherd.geometry import fit_squares
 from skyherd.render import Camera, Distortion
 from skyherd.render.camera.camera import rotation_camera_world
@@ -22,7 +29,7 @@ def random_unknowns(seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("way", [1.0, 1j, np.exp(2j)])
-def test_derivatives_are_those_of_finite_differences(seed, way):
+def test_map_derivatives_match_finite_differences(seed, way):
     """Central differences of step h leave h² = 1e-10 times third derivatives, and rounding of 1e-16 / h."""
     unknowns, h = random_unknowns(seed), 1e-5
     maps = local_maps(unknowns, POINTS)
@@ -32,7 +39,7 @@ def test_derivatives_are_those_of_finite_differences(seed, way):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_centre_stays_and_the_circle_keeps_its_size(seed):
+def test_map_fixes_center_and_circle_radius(seed):
     unknowns = random_unknowns(seed)
     origin = local_maps(unknowns, np.zeros(1, dtype=complex))
     assert abs(origin.values[0]) < 1e-15
@@ -43,9 +50,12 @@ def test_the_centre_stays_and_the_circle_keeps_its_size(seed):
 
 
 def true_unknowns(view: View) -> np.ndarray:
-    """α, f and λ from the camera's matrix and its rotation. With `p = A z + B z̄` from rays z to points,
-    α = B / Ā and f = |A|; the ground's rays have no component along its normal n, which is the horizon's line
-    `Re(λ̄_z z) = 1`, λ_z = -(n_x + i n_y) / n_z, and λ = λ_z / Ā."""
+    """Return α, f and λ from the camera's matrix and its rotation.
+
+    With `p = A z + B z̄` from rays z to points, α = B / Ā and f = |A|. The ground's rays have no component
+    along its normal n. That is the horizon's line `Re(λ̄_z z) = 1` with λ_z = -(n_x + i n_y) / n_z, and λ =
+    λ_z / Ā.
+    """
     half = view.camera.size_px[0] / 2
     f, aspect, skew = view.camera.focal_px * view.zoom / half, view.camera.aspect, view.camera.skew
     a, b = f * (1 + aspect - 1j * skew) / 2, f * (1 - aspect + 1j * skew) / 2
@@ -53,23 +63,23 @@ def true_unknowns(view: View) -> np.ndarray:
     x, y, z = rotation_camera_world(view.pose)[:, 2]
     horizon = -complex(x, y) / z / np.conj(a)
     unknowns = np.zeros(UNKNOWNS)
-    unknowns[SQUEEZE], unknowns[HORIZON] = (squeeze.real, squeeze.imag), (horizon.real, horizon.imag)
+    unknowns[ANISOTROPY], unknowns[PERSPECTIVE] = (squeeze.real, squeeze.imag), (horizon.real, horizon.imag)
     unknowns[7] = (abs(a) / USUAL_FOCAL) ** 2 - 1
     return unknowns
 
 
 @pytest.mark.parametrize("tilt_deg", [(0.0, 0.0), (12.0, -9.0), (-25.0, 3.0)])
 @pytest.mark.parametrize(("aspect", "skew"), [(1.0, 0.0), (0.75, 0.0), (1.2, -0.1)])
-def test_with_the_true_unknowns_it_is_the_true_cameras_map(tilt_deg, aspect, skew):
-    """Exact projective geometry on both sides: 1e-6 is what the truth's own finite differences leave, px."""
+def test_map_with_true_unknowns_equals_camera_projection(tilt_deg, aspect, skew):
+    """Both sides are exact projective geometry; the reference's own finite differences leave 1e-6 px."""
     view = View(Camera((800, 800), FOCAL_PX, aspect=aspect, skew=skew), tilt_deg)
     image_px = 400 * np.column_stack([POINTS.real, POINTS.imag]) + 399.5
     ours = GroundMap(true_unknowns(view)).rectified_px(image_px, np.array([800, 800]))
     np.testing.assert_allclose(ours, view.ideal_px(image_px), atol=1e-5, rtol=0)
 
 
-def test_squares_on_the_ground_are_squeezed_and_sized_as_told():
-    """Small squares; the corners' affine part leaves the third derivative times the side squared, 1e-6."""
+def test_square_images_match_predicted_anisotropy_and_size():
+    """For small squares the corners' affine part leaves the third derivative times the side squared, 1e-6."""
     view = View(Camera((800, 800), FOCAL_PX, aspect=1.2, skew=0.05), (10.0, -6.0), sigma_px=0.0)
     rng = np.random.default_rng(1)
     positions, headings = random_robots(rng, 12)
@@ -78,15 +88,15 @@ def test_squares_on_the_ground_are_squeezed_and_sized_as_told():
     maps = local_maps(true_unknowns(view), points)
     corners = ((seen.corners_px - 399.5) / 400) @ np.array([1, 1j])
     squares = fit_squares(corners)
-    assert np.abs(relative_squeezes(squares)).max() > 0.05
-    np.testing.assert_allclose(relative_squeezes(squares), maps.squeezes(), atol=2e-4, rtol=0)
+    assert np.abs(relative_anisotropies(squares)).max() > 0.05
+    np.testing.assert_allclose(relative_anisotropies(squares), maps.anisotropies(), atol=2e-4, rtol=0)
     sides = log_sides(squares) - maps.log_scales()
     np.testing.assert_allclose(sides, sides.mean(), atol=5e-4, rtol=0)
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_inverse_is_one(seed):
-    """Newton's method, quadratic: to rounding of 1e3 px."""
+def test_map_inverse_recovers_points(seed):
+    """Newton's method is quadratic: the error is the rounding of 1e3 px."""
     ground_map, size = GroundMap(random_unknowns(seed)), np.array([800, 600])
     points_px = np.random.default_rng(seed).uniform(100, 500, (30, 2))
     there = ground_map.rectified_px(points_px, size)
@@ -94,7 +104,7 @@ def test_the_inverse_is_one(seed):
     np.testing.assert_allclose(ground_map.image_px(there, size), points_px, atol=1e-9, rtol=0)
 
 
-def test_nothing_known_changes_nothing():
+def test_map_without_unknowns_is_identity():
     assert GroundMap().ideal
     points_px = np.random.default_rng(0).uniform(0, 800, (30, 2))
     np.testing.assert_allclose(
@@ -117,9 +127,11 @@ BROWN = [
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_three_coefficients_follow_lenses_of_all_kinds(lens, reach, name):
-    """A fit of κ to the lens's own curve leaves 2e-4 of the image's radius at most, and one coefficient five
-    times as much or more."""
+def test_three_lens_coefficients_fit_all_lens_models(lens, reach, name):
+    """A fit of κ to the lens's own curve leaves at most 2e-4 of the image's radius.
+
+    One coefficient leaves at least five times as much.
+    """
     rays = np.linspace(0.01, reach, 200)
     seen = lens(rays)
     radius = seen / seen.max()
@@ -137,16 +149,16 @@ def test_three_coefficients_follow_lenses_of_all_kinds(lens, reach, name):
     assert one > 5 * three
 
 
-def test_the_focal_length_stays_positive_and_keeps_its_slope():
-    """Wherever its unknown goes, the map answers to it: an unknown without slope would claim to be known."""
+def test_focal_length_stays_positive_with_nonzero_slope():
+    """The map depends on the unknown at any value: an unknown without slope would seem to be certain."""
     points = np.array([0.3 + 0.1j, -0.2 + 0.4j])
     for focal in (-3.0, -1.0, -0.95, -0.5, 0.0, 2.0):
         unknowns = np.zeros(UNKNOWNS)
-        unknowns[HORIZON], unknowns[7] = (0.1, -0.05), focal
+        unknowns[PERSPECTIVE], unknowns[7] = (0.1, -0.05), focal
         step = np.zeros(UNKNOWNS)
         step[7] = 1e-4
         up, down = (local_maps(unknowns + sign * step, points) for sign in (1, -1))
         assert np.isfinite(up.values).all()
-        assert np.abs(up.squeezes() - down.squeezes()).max() > 1e-10
+        assert np.abs(up.anisotropies() - down.anisotropies()).max() > 1e-10
     below, above = (local_maps(np.r_[np.zeros(7), f, 0.1, -0.05], points) for f in (-0.5 - 1e-9, -0.5 + 1e-9))
     np.testing.assert_allclose(below.values, above.values, atol=1e-10)

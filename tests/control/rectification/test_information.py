@@ -1,4 +1,4 @@
-"""Information as a quadratic form, against least squares done directly."""
+"""Information as a quadratic form, against direct least squares."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ GROUPS = {"a": [0, 1], "b": [2], "c": [3, 4, 5]}
 
 
 def lines(seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Equations (20, 6) and values (20,)."""
+    """Return equations (20, 6) and values (20,)."""
     rng = np.random.default_rng(seed)
     return rng.standard_normal((20, N)), rng.standard_normal(20)
 
@@ -28,7 +28,7 @@ def chi_squared(seed: int, free: list[int]) -> float:
 
 @pytest.mark.parametrize("free", [[], [2], [0, 1, 5], [5, 0, 1], list(range(N))])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_solution_is_that_of_least_squares_in_the_unknowns_that_are_free(seed, free):
+def test_constrained_mean_equals_least_squares(seed, free):
     a, y = lines(seed)
     expected = np.zeros(N)
     if free:
@@ -37,7 +37,7 @@ def test_the_solution_is_that_of_least_squares_in_the_unknowns_that_are_free(see
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_information_of_two_images_adds_up(seed):
+def test_information_of_two_images_is_additive(seed):
     (a, y), (b, z) = lines(seed), lines(seed + 10)
     both, stacked = information(seed) + information(seed + 10), np.vstack([a, b])
     expected = np.linalg.lstsq(stacked, np.concatenate([y, z]), rcond=None)[0]
@@ -46,8 +46,8 @@ def test_information_of_two_images_adds_up(seed):
 
 
 @pytest.mark.parametrize("count", [1, 4])
-def test_the_information_on_some_is_the_marginal_of_all(count):
-    """Of a Gaussian, the mean and covariance of some unknowns are parts of those of all."""
+def test_marginal_equals_block_of_joint_estimate(count):
+    """Mean and covariance of some unknowns of a Gaussian are parts of those of all."""
     all_, some = information(1), information(1).marginal(count)
     np.testing.assert_allclose(
         some.estimate().covariance, all_.estimate().covariance[:count, :count], atol=1e-12
@@ -57,7 +57,7 @@ def test_the_information_on_some_is_the_marginal_of_all(count):
     )
 
 
-def test_diffused_information_keeps_its_mean_and_adds_the_variance():
+def test_diffused_information_keeps_mean_and_adds_variance():
     before, variances = information(2), np.array([0, 0, 1.0, 0, 2.0, 0])
     after = before.diffused(variances)
     np.testing.assert_allclose(
@@ -68,7 +68,7 @@ def test_diffused_information_keeps_its_mean_and_adds_the_variance():
     )
 
 
-def test_independent_unknowns_stand_beside_each_other():
+def test_joined_information_is_block_diagonal():
     both = information(0).joined(Information.prior(np.array([0.5, 2.0])))
     np.testing.assert_allclose(
         both.estimate().covariance[:N, :N], information(0).estimate().covariance, atol=1e-12
@@ -78,8 +78,8 @@ def test_independent_unknowns_stand_beside_each_other():
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("least", [0.5, 2.0, 6.0])
-def test_groups_are_significant_by_the_fall_of_chi_squared(seed, least):
-    """The greedy choice done over again with a fit for each question."""
+def test_significant_groups_match_greedy_chi_squared(seed, least):
+    """The reference is the greedy choice with a separate fit for each question."""
     free: list[int] = []
     waiting = dict(GROUPS)
     while waiting:
@@ -91,8 +91,8 @@ def test_groups_are_significant_by_the_fall_of_chi_squared(seed, least):
     assert sorted(information(seed).significant(GROUPS, after={}, threshold=least)) == sorted(free)
 
 
-def test_a_group_waits_for_the_one_it_comes_after():
-    """`b` would explain much, but means nothing without `a`, which explains nothing."""
+def test_significant_group_requires_its_predecessor():
+    """`b` would explain much, but requires `a`, which explains nothing."""
     known = Information(np.eye(N), np.array([0, 0, 10.0, 0, 0, 0]))
     assert known.significant(GROUPS, after={}, threshold=20.0) == [2]
     assert known.significant(GROUPS, after={"b": "a"}, threshold=20.0) == []

@@ -1,7 +1,7 @@
-"""Self-rectification: what it reaches, what it leaves alone, how well it knows; by true cameras' projections.
+"""Self-rectification: accuracy, unchanged cases and consistency of covariances, by true camera projections.
 
-Corners err by 0.005 px unless told otherwise, as the photometric detector's do at 27 px, 0.2 px in a marker's
-side of 27: each number that a marker tells errs by `0.005 / 27 / √2 = 1.3e-4`.
+The corner error is 0.005 px by default, as for the photometric detector at 27 px, with 0.2 px per side of 27.
+The error of each number of a marker is then `0.005 / 27 / √2 = 1.3e-4`.
 """
 
 from collections.abc import Callable
@@ -14,11 +14,11 @@ from seen_squares import CORNERS, View, random_robots, random_view, shape_error
 
 from skyherd.control import Rectifier, rectified
 from skyherd.control.rectification.ground_map import (
+    ANISOTROPY,
     CENTER,
     FOCAL,
-    HORIZON,
     LENS,
-    SQUEEZE,
+    PERSPECTIVE,
     USUAL_FOCAL,
     GroundMap,
 )
@@ -33,7 +33,7 @@ IDEAL = View()
 
 
 def robots_in_view(view: View, count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """A random start that the view has whole."""
+    """Return a random start that is completely in view."""
     rng = np.random.default_rng([seed, count])
     for _ in range(1000):
         positions, headings = random_robots(rng, count)
@@ -46,7 +46,7 @@ def robots_in_view(view: View, count: int, seed: int) -> tuple[np.ndarray, np.nd
 
 
 def errors_after(view: View, count: int, images: int, seed: int, **how: bool) -> tuple[float, float]:
-    """Shape error (as seen, rectified) of the last image, robots standing elsewhere in each."""
+    """Return the shape errors (as seen, rectified) of the last image, with robots elsewhere in each image."""
     rng, rectifier = np.random.default_rng(seed), Rectifier()
     for image in range(images):
         positions, headings = robots_in_view(view, count, 100 * seed + image)
@@ -55,22 +55,28 @@ def errors_after(view: View, count: int, images: int, seed: int, **how: bool) ->
     return shape_error(seen.centers_px, positions), shape_error(rectified.centers_px, positions)
 
 
-# --- what it reaches ---
+# --- accuracy ---
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(("count", "worst"), [(3, 3e-3), (6, 1e-3), (16, 5e-4)])
-def test_one_image_is_rectified_by_its_own_markers(count, worst):
-    """Numbers of 1.3e-4 each, of which a fit of ten unknowns makes an error several times as large where
-    markers are few; the worst of 20 cameras is held to what the issue asks of the median, or less."""
+def test_single_image_is_rectified_from_its_markers(count, worst):
+    """Numbers of 1.3e-4 each; a fit of ten unknowns to few markers makes the error several times as large.
+
+    The worst of 20 cameras must satisfy the requirement on the median, or better.
+    """
     before, after = np.array([errors_after(random_view(seed), count, 1, seed) for seed in range(20)]).T
     assert np.median(before) > 0.02
     assert after.max() < worst
     assert (after < before).all()
 
 
-def test_the_prototypes_figures_are_reached():
-    """Tilt 10 deg, aspect 1.1, k1 = -0.2 and corners of 0.1 px: 5 % falls to 0.09 % with 16 markers, to
-    0.16 % with six (a prototype's medians); half as much again for the scatter of ten draws."""
+def test_rectifier_reaches_prototype_accuracy():
+    """Tilt 10 deg, aspect 1.1, k1 = -0.2 and corners of 0.1 px.
+
+    An error of 5 % falls to 0.09 % with 16 markers, to 0.16 % with six (a prototype's medians). The tolerance
+    adds half of it for the scatter of ten draws.
+    """
     camera = Camera((800, 800), 640.0, aspect=1.1, distortion=Distortion(k1=-0.2))
     view = View(camera, (10.0, 0.0), sigma_px=0.1)
     for count, published in ((16, 0.9e-3), (6, 1.6e-3)):
@@ -79,8 +85,8 @@ def test_the_prototypes_figures_are_reached():
         assert np.median(after) < 1.5 * published
 
 
-def test_corners_headings_and_sides_are_those_of_squares():
-    """After 20 images a marker's rectified corners make a square: sides alike to 1e-3, right angles."""
+def test_rectified_markers_are_squares():
+    """After 20 images a marker's rectified corners make a square: sides equal to 1e-3, right angles."""
     view, rng, rectifier = random_view(3), np.random.default_rng(0), Rectifier()
     for image in range(20):
         positions, headings = robots_in_view(view, 12, image)
@@ -98,7 +104,7 @@ def test_corners_headings_and_sides_are_those_of_squares():
     np.testing.assert_array_equal(rectified.image_size_px, seen.image_size_px)
 
 
-# --- each unknown against the truth ---
+# --- each unknown against ground truth ---
 
 
 def learn(cameras: Callable[[int], View], images: int, count: int = 16) -> Rectifier:
@@ -111,7 +117,7 @@ def learn(cameras: Callable[[int], View], images: int, count: int = 16) -> Recti
 
 
 def off(rectifier: Rectifier, places: list[int], truth: complex | float) -> float:
-    """Error of an unknown of one or two components, in stated deviations of a component."""
+    """Return the error of an unknown of one or two components, in reported deviations of a component."""
     values, variances = (
         rectifier.ground_map.unknowns[places],
         np.diag(rectifier.ground_map.covariance)[places],
@@ -124,9 +130,11 @@ SWAYING = [(12.0 * np.cos(a), 12.0 * np.sin(a)) for a in np.arange(0, 12, 0.7)]
 
 
 @pytest.mark.parametrize(("aspect", "skew"), [(640 / 480, 0.0), (0.8, 0.1), (1.05, -0.05)])
-def test_squeeze_focal_length_and_tilt_are_the_cameras(aspect, skew):
-    """A camera that sways tells its focal length; α and λ as in `test_ground_map`. Within 4.5 stated
-    deviations, which chance passes once in 25 000 for two components, and these small enough for a test."""
+def test_anisotropy_focal_length_and_tilt_match_camera(aspect, skew):
+    """A swaying camera determines its focal length; α and λ as in `test_ground_map`.
+
+    Chance exceeds 4.5 reported deviations once in 25 000 for two components.
+    """
     camera = Camera((800, 800), 640.0, aspect=aspect, skew=skew)
     rectifier = learn(lambda image: View(camera, SWAYING[image % len(SWAYING)]), 18)
     f = 640.0 / 400
@@ -138,18 +146,20 @@ def test_squeeze_focal_length_and_tilt_are_the_cameras(aspect, skew):
     normal = np.array([normal[2] * np.sin(tilt_v), normal[1], normal[2] * np.cos(tilt_v)])
     horizon = -complex(normal[0], normal[1]) / normal[2] / np.conj(a)
     deviations = np.sqrt(np.diag(rectifier.ground_map.covariance))
-    assert deviations[SQUEEZE].max() < 1e-3
+    assert deviations[ANISOTROPY].max() < 1e-3
     assert deviations[FOCAL].max() < 0.1
-    assert deviations[HORIZON].max() < 1e-3
-    assert off(rectifier, SQUEEZE, squeeze) < 4.5
-    assert off(rectifier, HORIZON, horizon) < 4.5
+    assert deviations[PERSPECTIVE].max() < 1e-3
+    assert off(rectifier, ANISOTROPY, squeeze) < 4.5
+    assert off(rectifier, PERSPECTIVE, horizon) < 4.5
     assert off(rectifier, FOCAL, (abs(a) / USUAL_FOCAL) ** 2 - 1) < 4.5
 
 
 @pytest.mark.parametrize("k1", [-0.25, -0.1, 0.1])
-def test_the_lens_is_the_cameras(k1):
-    """Ground radius over image radius, by the true polynomial, over the whole circle that markers fill; the
-    division model with three coefficients follows it to 2e-4 (`test_ground_map`), noise adds as much."""
+def test_lens_coefficients_match_camera(k1):
+    """Ground radius over image radius, by the true polynomial, over the whole circle with markers.
+
+    The division model with three coefficients follows it to 2e-4 (`test_ground_map`), and noise adds as much.
+    """
     camera = Camera((800, 800), 800.0, distortion=Distortion(k1=k1))
     rectifier = learn(lambda image: View(camera), 20)
     rays = np.linspace(0.02, 0.45, 40)
@@ -160,8 +170,8 @@ def test_the_lens_is_the_cameras(k1):
     assert np.sign(rectifier.ground_map.unknowns[LENS[0]]) == np.sign(k1)
 
 
-def test_the_lenss_centre_is_the_principal_point():
-    """A fifth of the half image off, under a lens that bends: within 4.5 stated deviations."""
+def test_lens_center_matches_principal_point():
+    """A fifth of the half image off, under a distorting lens: within 4.5 reported deviations."""
     camera = Camera(
         (800, 800), 760.0, principal_point_px=(399.5 + 80, 399.5 - 40), distortion=Distortion(k1=-0.2)
     )
@@ -171,7 +181,7 @@ def test_the_lenss_centre_is_the_principal_point():
 
 
 def edges_of(marker_id: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points (P,) along all edges between the cells of a marker on its card, in sides, and their normals."""
+    """Return points (P,) along all edges between the cells of a marker, in sides, and their normals."""
     cells = np.pad(marker_cells("4X4_50", marker_id), 1, constant_values=True)
     n, along = len(cells) - 2, (np.arange(8) + 0.5) / 8
     points, normals = [], []
@@ -185,8 +195,10 @@ def edges_of(marker_id: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fitted_square(z: np.ndarray, across: np.ndarray, images: np.ndarray) -> np.ndarray:
-    """Images (5,) of a marker's centre and corners by the flat map `c + m z + k z̄` that fits its edges best,
-    of which only what is `across` them can be seen."""
+    """Return images (5,) of a marker's centre and corners by the flat map that fits its edges best.
+
+    The map is `c + m z + k z̄`. Only its component `across` the edges is observable.
+    """
     columns = np.stack([factor * power for power in (np.ones_like(z), z, z.conj()) for factor in (1, 1j)])
     seen = (columns * across.conj()).real.T
     found = np.linalg.lstsq(seen, (images * across.conj()).real, rcond=None)[0]
@@ -200,9 +212,12 @@ def fitted_square(z: np.ndarray, across: np.ndarray, images: np.ndarray) -> np.n
     [pytest.param(each, marks=pytest.mark.slow if each % 14 else ()) for each in range(0, 50, 7)],
 )
 @pytest.mark.parametrize("turn_rad", [0.0, 0.5])
-def test_a_bent_markers_centre_is_where_the_marker_is(marker_id, turn_rad):
-    """A detector that fits a flat square to bent edges finds a centre that is off by half of how far the lens
-    moves the mean of the corners, give or take what the marker's bits make of it; rectified it is not."""
+def test_center_of_distorted_marker_is_unbiased(marker_id, turn_rad):
+    """A detector that fits a flat square to bent edges finds a biased centre.
+
+    The bias is half of the lens displacement of the corners' mean, up to the effect of the marker's bits.
+    Rectification removes it.
+    """
     size_px, ground_map = np.array([800, 800]), GroundMap(unknowns=np.eye(10)[LENS[0]] * 0.3)
     turn, (z, normals) = np.exp(1j * turn_rad), edges_of(marker_id)
     true_px = to_points(640 + 470j + 80 * turn * np.array([0, *CORNERS, *z]))
@@ -215,7 +230,7 @@ def test_a_bent_markers_centre_is_where_the_marker_is(marker_id, turn_rad):
 
 
 def detections_of(points: np.ndarray, size_px: np.ndarray) -> Detections:
-    """One marker's centre and corners (5,), exactly."""
+    """Return one marker's exact centre and corners (5,)."""
     side = abs(points[2] - points[1])
     return Detections(
         unit_id=0,
@@ -230,20 +245,23 @@ def detections_of(points: np.ndarray, size_px: np.ndarray) -> Detections:
     )
 
 
-# --- what it leaves alone ---
+# --- unchanged detections ---
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 6, 16])
 @pytest.mark.parametrize("sigma_px", [0.005, 0.1])
 @pytest.mark.parametrize("seeds", [3, pytest.param(10, marks=pytest.mark.slow)])
-def test_an_ideal_cameras_detections_pass_unchanged(count, sigma_px, seeds):
-    """The very same values. Groups of unknowns are asked six at a time; chance passes the threshold of 20 by
-    one of them with less than 6 exp(-10) = 3e-4; 30 images a seed, to the 1e-6 quantile of the binomial."""
+def test_detections_of_ideal_camera_pass_unchanged(count, sigma_px, seeds):
+    """The values are identical.
+
+    Six groups of unknowns are tested per image. Chance exceeds the threshold of 20 in one of them with less
+    than 6 exp(-10) = 3e-4. The limit for 30 images a seed is the 1e-6 quantile of the binomial.
+    """
     changed = 0
     for seed in range(seeds):
         view, rng, rectifier = replace(IDEAL, sigma_px=sigma_px), np.random.default_rng(seed), Rectifier()
         for image in range(30):
-            # Half of the images with robots that stand still, whose evidence must not pile up.
+            # Half of the images with robots that stand still, whose information must not accumulate.
             positions, headings = robots_in_view(view, count, 1000 * seed + min(image, 15))
             seen = view.see(positions, headings, rng)
             changed += rectifier.rectify(seen) is not seen
@@ -251,8 +269,8 @@ def test_an_ideal_cameras_detections_pass_unchanged(count, sigma_px, seeds):
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_two_robots_tell_nothing_of_a_camera(count):
-    """However it distorts."""
+def test_two_robots_alone_leave_detections_unchanged(count):
+    """This holds for any distortion."""
     view, rng = random_view(1), np.random.default_rng(0)
     rectifier = Rectifier()
     for image in range(10):
@@ -261,9 +279,11 @@ def test_two_robots_tell_nothing_of_a_camera(count):
         assert rectifier.rectify(seen) is seen
 
 
-def test_what_was_learned_from_many_robots_serves_two():
-    """A camera with a constant tilt that is gone by then: the lens and the pixels remain, and the two robots'
-    own squeezes tell the tilt there is. Distances within 1e-3, from 5e-2."""
+def test_camera_estimate_rectifies_two_robots_later():
+    """A camera with a constant tilt that disappears: lens and pixels remain.
+
+    The two robots' own anisotropies determine the present tilt. Distances are within 1e-3, from 5e-2.
+    """
     camera = random_view(2).camera
     rectifier = learn(lambda image: View(camera, (8.0, 3.0)), 20, 12)
     unknowns = rectifier.camera
@@ -279,8 +299,8 @@ def test_what_was_learned_from_many_robots_serves_two():
     np.testing.assert_allclose(ratios, 1.0, atol=0.02)
 
 
-def test_a_mirrored_view_is_no_camera():
-    """Its markers are squeezed beyond one: nothing is changed, for a ground seen from below is none."""
+def test_mirrored_view_is_not_rectified():
+    """The anisotropy of its markers exceeds one, which no camera above the ground can cause."""
     view, rng = View(replace(IDEAL.camera, mirrored=True)), np.random.default_rng(0)
     positions, headings = robots_in_view(view, 8, 0)
     seen = view.see(positions, headings, rng)
@@ -301,8 +321,8 @@ def cluster(count: int, rng: np.random.Generator) -> np.ndarray:
 @pytest.mark.parametrize("layout", [line, cluster])
 @pytest.mark.parametrize("count", [3, 5, 8])
 @pytest.mark.parametrize("cameras", [10, pytest.param(20, marks=pytest.mark.slow)])
-def test_a_layout_that_tells_little_is_never_made_worse(layout, count, cameras):
-    """Cameras that do all at once: of what the markers in view tell, their own shape is always better."""
+def test_uninformative_layout_never_increases_error(layout, count, cameras):
+    """Cameras with all effects at once: the shape of the visible markers always improves."""
     worse = []
     for seed in range(cameras):
         view, rng = random_view(seed), np.random.default_rng(seed)
@@ -315,7 +335,7 @@ def test_a_layout_that_tells_little_is_never_made_worse(layout, count, cameras):
 
 
 @pytest.mark.parametrize("cameras", [5, pytest.param(10, marks=pytest.mark.slow)])
-def test_a_layout_that_told_little_does_not_spoil_the_next_image(cameras):
+def test_uninformative_layout_does_not_affect_next_image(cameras):
     """A row of robots first, then robots all over the image."""
     for seed in range(cameras):
         view, rng, rectifier = random_view(seed), np.random.default_rng(seed), Rectifier()
@@ -326,9 +346,11 @@ def test_a_layout_that_told_little_does_not_spoil_the_next_image(cameras):
         assert shape_error(rectified.centers_px, positions) < 1e-3
 
 
-def test_one_wrong_marker_among_many_hardly_counts():
-    """A corner 3.6 px off, 700 deviations, which makes its marker's side wrong by 4 %: not half of that is
-    left of it in the shape."""
+def test_outlier_marker_is_down_weighted():
+    """A corner is 3.6 px off, 700 deviations, which changes its marker's side by 4 %.
+
+    Less than half of that remains in the shape.
+    """
     worst = []
     for seed in range(10):
         view, rng = random_view(seed), np.random.default_rng(seed)
@@ -350,9 +372,12 @@ def resized(seen: Detections, factors: np.ndarray) -> Detections:
 
 
 @pytest.mark.parametrize("count", [6, 16])
-def test_markers_of_unequal_size_cost_accuracy_and_no_more(count):
-    """Sides that differ by 2 %: their noise is learned apart from the squeezes', which tell the map alone. An
-    ideal camera's shape is not spoilt by more than 0.3 %, a bad one's error falls tenfold."""
+def test_unequal_marker_sizes_keep_bounded_error(count):
+    """Sides differ by 2 %: their noise is estimated separately from that of the anisotropies.
+
+    The anisotropies alone then determine the map. An ideal camera's shape error is at most 0.3 %, a bad one's
+    falls tenfold.
+    """
     spoilt, gained = [], []
     for seed in range(10):
         factors = np.exp(0.02 * np.random.default_rng(seed).standard_normal(count))
@@ -369,8 +394,8 @@ def test_markers_of_unequal_size_cost_accuracy_and_no_more(count):
 
 
 @pytest.mark.parametrize("sigma_px", [0.005, 0.1])
-def test_a_detector_that_tells_no_covariance_is_served_as_well(sigma_px):
-    """The noise is told by what the fits leave."""
+def test_missing_covariances_keep_accuracy(sigma_px):
+    """The noise is estimated from the residuals."""
     ideal = [errors_after(replace(IDEAL, sigma_px=sigma_px), 8, 10, seed, told=False) for seed in range(5)]
     assert all(after == before for before, after in ideal)
     bad = [
@@ -382,9 +407,11 @@ def test_a_detector_that_tells_no_covariance_is_served_as_well(sigma_px):
 
 @pytest.mark.parametrize("count", [3, 8])
 @pytest.mark.parametrize("seeds", [10, pytest.param(30, marks=pytest.mark.slow)])
-def test_nonsense_is_survived(count, seeds):
-    """Corners at random, corners on one spot, wild covariances: every value stays finite, then and later, or
-    the message would be refused."""
+def test_invalid_corners_give_finite_values(count, seeds):
+    """Random corners, coincident corners, extreme covariances: every value stays finite, then and later.
+
+    The message would be rejected otherwise.
+    """
     view = random_view(4)
     for seed in range(seeds):
         rng, rectifier = np.random.default_rng(seed), Rectifier()
@@ -405,7 +432,7 @@ def test_nonsense_is_survived(count, seeds):
 
 
 def rolled(seen: Detections, angle_rad: float) -> Detections:
-    """The image turned about its centre, clockwise."""
+    """Return the image rotated about its centre, clockwise."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     turn = np.array([[c, s], [-s, c]])
     spin = np.eye(3)
@@ -421,9 +448,12 @@ def rolled(seen: Detections, angle_rad: float) -> Detections:
 
 
 @pytest.mark.parametrize("angle_rad", [np.pi / 2, 1.0, -2.3])
-def test_a_turned_image_gives_turned_points(angle_rad):
-    """Priors and weights know no direction; Gauss-Newton stops within 1e-7 of its end, the circle's mean
-    size is taken at four points of it: 1e-3 px."""
+def test_rotated_image_gives_rotated_points(angle_rad):
+    """Priors and weights are isotropic.
+
+    Gauss-Newton stops within 1e-7 of convergence, and the circle's mean size is taken at four points: 1e-3
+    px.
+    """
     view, rng = random_view(5), np.random.default_rng(0)
     positions, headings = robots_in_view(view, 10, 0)
     seen = view.see(positions, headings, rng)
@@ -435,7 +465,7 @@ def test_a_turned_image_gives_turned_points(angle_rad):
     np.testing.assert_allclose(np.exp(1j * (turned.headings_rad - expected.headings_rad)), 1.0, atol=1e-4)
 
 
-def test_the_size_of_pixels_and_the_order_of_markers_do_not_matter():
+def test_rectifier_is_invariant_to_pixel_size_and_order():
     view, rng = random_view(6), np.random.default_rng(0)
     positions, headings = robots_in_view(view, 10, 0)
     seen = view.see(positions, headings, rng)
@@ -461,11 +491,11 @@ def test_the_size_of_pixels_and_the_order_of_markers_do_not_matter():
     np.testing.assert_allclose(Rectifier().rectify(mixed).centers_px, rectified.centers_px[order], atol=1e-6)
 
 
-# --- how well it knows, and what changes ---
+# --- covariances and zoom ---
 
 
 def nees_of(seen: Detections, truth_px: np.ndarray) -> float:
-    """Squared errors of the centres over their covariances, a degree of freedom; but for a similarity."""
+    """Return the NEES of the centres: squared errors over covariances, up to a similarity."""
     z, off = (each - each.mean() for each in map(to_complex, (seen.centers_px, seen.centers_px - truth_px)))
     left = to_points(off - z * np.vdot(z, off) / np.vdot(z, z))
     inverse = np.linalg.inv(seen.covariances[:, :2, :2])
@@ -474,10 +504,12 @@ def nees_of(seen: Detections, truth_px: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("count", "images"), [(6, 1), (6, 15), (16, 1), (16, 15)])
 @pytest.mark.parametrize("cameras", [12, pytest.param(24, marks=pytest.mark.slow)])
-def test_covariances_are_honest(count, images, cameras):
-    """NEES of the rectified centres against the true camera's map, but for a similarity, over all cameras:
-    0.6 to 1.4. It is less than 1 after one image: what is held at zero is reckoned with as if it might be
-    anything, and corners that err alike tell sides and squeezes as well as the rectifier takes them to."""
+def test_rectified_covariances_match_errors(count, images, cameras):
+    """NEES of the rectified centres against the true camera's map, up to a similarity, over all cameras.
+
+    The range is 0.6 to 1.4. After one image it is below 1: an unknown held at zero counts as uncertain, and
+    equal corner errors determine sides and anisotropies as well as the rectifier assumes.
+    """
     nees = []
     for seed in range(cameras):
         view, rng, rectifier = (
@@ -493,9 +525,11 @@ def test_covariances_are_honest(count, images, cameras):
     assert 0.6 < np.mean(nees) < 1.4
 
 
-def test_a_zoom_is_followed():
-    """Twice the focal length within one image, then a ramp: distances to the centre grow, the lens's bend
-    moves outwards. Within 2e-3 at every image, from 3e-2 and more with the lens as it was."""
+def test_zoom_is_tracked():
+    """The focal length doubles within one image, then follows a ramp; the bend moves outwards.
+
+    The error is within 2e-3 at every image, from at least 3e-2 with the former lens.
+    """
     camera = Camera((800, 800), 700.0, distortion=Distortion(k1=-0.2), aspect=1.1)
     zooms = [1.0] * 10 + [1.8] * 10 + np.linspace(1.8, 1.2, 20).tolist()
     rng, rectifier = np.random.default_rng(0), Rectifier()
@@ -510,7 +544,7 @@ def test_a_zoom_is_followed():
 
 
 def scale_after_zooming(seed: int) -> float:
-    """Error of the scale of 16 robots under a zoom lens, learned at its wide end, zoomed in, and back."""
+    """Return the scale error of 16 robots under a zoom lens, learned at its wide end, zoomed in, and back."""
     lens = Camera((720, 576), 541.0, distortion=Distortion(k1=-0.17, zoom_k1=0.34))
     ramp = np.linspace(1.0, 1.33, 9).tolist()
     rng, rectifier = np.random.default_rng(seed), Rectifier()
@@ -526,9 +560,11 @@ def scale_after_zooming(seed: int) -> float:
 
 
 @pytest.mark.parametrize("seed", [3, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (4, 5))])
-def test_a_zoom_lens_may_bend_otherwise_at_each_zoom(monkeypatch, seed):
-    """Its k1 goes from -0.17 to -0.03 and back, which `κ ~ f^(-2)` does not explain: were that law believed,
-    the lens at the image's rim, and so the scale, would stay off by half a per cent."""
+def test_zoom_lens_with_varying_distortion_keeps_scale(monkeypatch, seed):
+    """Its k1 changes from -0.17 to -0.03 and back, which `κ ~ f^(-2)` does not explain.
+
+    Under that law the lens at the image's rim, and so the scale, would stay off by 0.5 %.
+    """
     error = scale_after_zooming(seed)
     monkeypatch.setattr("skyherd.control.rectification.rectifier.ZOOM_BENDS", 0.0)
     believed = scale_after_zooming(seed)
@@ -539,11 +575,11 @@ def test_a_zoom_lens_may_bend_otherwise_at_each_zoom(monkeypatch, seed):
 # --- the terms of the covariance, and the zoom ---
 
 BENT = np.array([0.05, -0.03, -0.08, 0.01, 0.0, 0.02, -0.01, 0.1, 0.06, -0.04])
-"""Unknowns of a map with every part: squeezed pixels, lens, centre, focal length and tilt."""
+"""Unknowns of a map with every part: anisotropic pixels, lens, centre, focal length and tilt."""
 
 
-def test_a_headings_variance_is_mapped_as_a_direction_is():
-    """By the map of two points a hundredth of a pixel apart, without its derivatives."""
+def test_heading_variance_is_mapped_like_direction():
+    """The reference maps two points a hundredth of a pixel apart, without derivatives."""
     rng = np.random.default_rng(4)
     seen = IDEAL.see(*robots_in_view(IDEAL, 6, 4), rng)
     deviation_rad = 0.01
@@ -567,8 +603,8 @@ def test_a_headings_variance_is_mapped_as_a_direction_is():
 
 
 @pytest.mark.parametrize("unknown", [0, 1, 2, 8, 9])
-def test_what_is_not_known_of_the_map_counts_but_for_a_rotation_of_all(unknown):
-    """Headings err as the map turns at their markers, less the turn of the best similarity of all centres."""
+def test_map_covariance_excludes_common_rotation(unknown):
+    """Heading errors are the map's rotations at the markers, minus that of the best similarity."""
     rng = np.random.default_rng(5)
     seen = IDEAL.see(*robots_in_view(IDEAL, 8, 5), rng)
     seen = replace(seen, covariances=np.zeros((len(seen), 3, 3)))
@@ -600,11 +636,11 @@ def test_what_is_not_known_of_the_map_counts_but_for_a_rotation_of_all(unknown):
 
 
 @pytest.mark.parametrize("factor", [1.2, 1 / 1.2])
-def test_zooming_in_and_out_cost_the_same_certainty(factor):
-    """What is known of the camera loses the same, whichever way it zooms.
+def test_zoom_in_and_out_lose_equal_information(factor):
+    """The information on the camera decreases equally for both directions of zoom.
 
-    So the sign of the growth of the sides in `Rectifier._after_zoom` decides nothing: it enters the variances
-    by its square, and those of a lens by its magnitude. A change of that sign is equivalent.
+    The sign of the growth of the sides in `Rectifier._after_zoom` therefore has no effect. The growth enters
+    the variances by its square, and those of a lens by its magnitude. A mutation of that sign is equivalent.
     """
     rectifier = Rectifier()
     rng = np.random.default_rng(6)

@@ -1,10 +1,11 @@
-"""Equations 4-6: goals of several units on one scale; and what a robot's inbox keeps."""
+"""Equations 4-6: fusion of the goals of several units on one scale, and the content of a robot's inbox."""
 
 import numpy as np
 import pytest
 
 from skyherd.control import GoalInboxes, Template, motion_goals
 from skyherd.control.robots.goal_fusion import fuse_marker_sides, fuse_pixels, scale_ratios
+from skyherd.errors import MessageError
 from skyherd.messages import TIME_TOLERANCE_S
 
 SIDE_M = 0.4
@@ -45,7 +46,7 @@ class Scene:
             self.inboxes.receive(type(goals)(**{**vars(goals), "unit_id": unit}), 0.0)
 
     def metric_sum(self) -> np.ndarray:
-        """Σ_j (x^{d,j} - x), in each robot's frame, from the ground alone."""
+        """Return Σ_j (x^{d,j} - x), in each robot's frame, from the ground alone."""
         total = np.zeros(self.ids.size, dtype=complex)
         for members in self.sets:
             t, x = self.template[members], self.positions[members]
@@ -54,8 +55,9 @@ class Scene:
         return total * np.exp(-1j * self.headings)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("seed", range(20))
-def test_equation_4_equals_equation_5(make_detections, seed) -> None:
+def test_fuse_pixels_equation_4_equals_equation_5(make_detections, seed) -> None:
     """rho^g = rbar Σ_j (x^{d,j} - x) on consistent data; vectors of 100 px, rounding 1e-12 px."""
     scene = Scene(seed, make_detections)
     held = np.array([np.isin(scene.ids, members) for members in scene.sets])
@@ -66,7 +68,7 @@ def test_equation_4_equals_equation_5(make_detections, seed) -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_marker_sides_give_the_metric_sum(make_detections, seed) -> None:
+def test_fuse_marker_sides_equals_metric_sum(make_detections, seed) -> None:
     scene = Scene(seed, make_detections)
     np.testing.assert_allclose(
         SIDE_M * fuse_marker_sides(scene.inboxes, 0.0), scene.metric_sum(), rtol=0, atol=1e-11
@@ -74,8 +76,8 @@ def test_marker_sides_give_the_metric_sum(make_detections, seed) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_scale_ratios_are_the_true_ones(make_detections, seed) -> None:
-    """r_kj = r_k / r_j for every robot that both units address, and r_kj r_jk = 1 exactly enough."""
+def test_scale_ratios_match_ground_truth(make_detections, seed) -> None:
+    """r_kj = r_k / r_j for every robot with goals of both units, and r_kj r_jk = 1 to rounding."""
     scene = Scene(seed, make_detections)
     ratios = scale_ratios(scene.inboxes)
     for k, ours in enumerate(scene.sets):
@@ -86,21 +88,21 @@ def test_scale_ratios_are_the_true_ones(make_detections, seed) -> None:
 
 
 def two_units(make_goals, near_0: dict, near_1: dict, sides=(20.0, 50.0)) -> GoalInboxes:
-    """Robot 1 of four, told of its neighbours by two units."""
+    """Return inboxes with goals of two units for robot 1 of four, with distances to its neighbours."""
     inboxes = GoalInboxes(np.arange(4), np.array([0, 1]), 1.0)
     inboxes.receive(make_goals(0, [1], [3 + 4j], sides=[sides[0]], neighbors=[near_0]), 0.0)
     inboxes.receive(make_goals(1, [1], [1 - 2j], sides=[sides[1]], neighbors=[near_1]), 0.0)
     return inboxes
 
 
-def test_ratios_use_only_common_neighbours(make_goals) -> None:
-    """Robot 0 is told of by both: 10 px and 30 px. What only one tells, however wild, does not count."""
+def test_scale_ratios_use_only_common_neighbors(make_goals) -> None:
+    """Both units send robot 0: 10 px and 30 px. A neighbour of only one unit has no effect."""
     inboxes = two_units(make_goals, {0: 10.0, 2: 777.0}, {0: 30.0, 3: 0.1})
     assert scale_ratios(inboxes)[1, 0, 1] == pytest.approx(3.0, rel=1e-14)
 
 
-def test_ratios_are_least_squares_over_all_common_neighbours(make_goals) -> None:
-    """Inconsistent distances, errors in both: the ratio of root mean squares, and still r_kj r_jk = 1."""
+def test_scale_ratios_are_least_squares_over_neighbors(make_goals) -> None:
+    """Inconsistent distances with errors in both: the ratio of root mean squares, and still r_kj r_jk = 1."""
     inboxes = two_units(make_goals, {0: 10.0, 2: 20.0, 3: 5.0}, {0: 21.0, 2: 39.0, 3: 11.0})
     expected = np.sqrt((21**2 + 39**2 + 11**2) / (10**2 + 20**2 + 5**2))
     ratios = scale_ratios(inboxes)
@@ -108,27 +110,27 @@ def test_ratios_are_least_squares_over_all_common_neighbours(make_goals) -> None
     assert ratios[1, 0, 1] * ratios[0, 1, 1] == pytest.approx(1.0, rel=1e-15)
 
 
-def test_without_common_neighbours_the_marker_sides_stand_in(make_goals) -> None:
+def test_scale_ratios_without_neighbors_use_marker_sides(make_goals) -> None:
     for near_0, near_1 in (({0: 10.0}, {2: 30.0}), ({}, {})):
         ratios = scale_ratios(two_units(make_goals, near_0, near_1))
         assert ratios[1, 0, 1] == pytest.approx(50.0 / 20.0, rel=1e-14)
         assert ratios[0, 1, 1] == pytest.approx(20.0 / 50.0, rel=1e-14)
 
 
-def test_ratios_of_neighbours_within_a_pixel_are_theirs_too(make_goals) -> None:
-    """Squares of distances below 1 px² are as good as others."""
+def test_scale_ratios_accept_distances_below_one_pixel(make_goals) -> None:
+    """Squares of distances below 1 px² are as valid as others."""
     ratios = scale_ratios(two_units(make_goals, {0: 0.5}, {0: 0.25}))
     assert (ratios[1, 0, 1], ratios[0, 1, 1]) == (0.5, 2.0)
 
 
-def test_equation_4_by_hand(make_goals) -> None:
+def test_fuse_pixels_matches_hand_computation(make_goals) -> None:
     """r_10 = 3: rho^g = 1/2 [(1 + 3) rho^0 + (1/3 + 1) rho^1]."""
     fused = fuse_pixels(two_units(make_goals, {0: 10.0}, {0: 30.0}), 0.0)
     np.testing.assert_allclose(fused[1], 0.5 * (4 * (3 + 4j) + 4 / 3 * (1 - 2j)), rtol=1e-14)
     np.testing.assert_array_equal(fused[[0, 2, 3]], 0)
 
 
-def test_a_newer_image_wins_over_an_older_one_that_arrives_later(make_goals) -> None:
+def test_inbox_keeps_newer_image_under_reordering(make_goals) -> None:
     inboxes = GoalInboxes(np.arange(3), np.array([0, 1]), 1.0)
     inboxes.receive(make_goals(0, [0, 1], [1, 2], time_s=0.5, neighbors=[{2: 4.0}, {2: 4.0}]), 0.6)
     inboxes.receive(make_goals(0, [1, 2], [20, 30], time_s=0.4, neighbors=[{0: 9.0}, {0: 9.0}]), 0.7)
@@ -141,15 +143,33 @@ def test_a_newer_image_wins_over_an_older_one_that_arrives_later(make_goals) -> 
     np.testing.assert_array_equal(inboxes.squares_px2[0, 1], [9, 0, 0])
 
 
-def test_only_robots_that_received_take_the_message_in(make_goals) -> None:
+@pytest.mark.parametrize(
+    ("mask", "words"),
+    [
+        (np.ones(2, dtype=bool), r"shape \(2,\), expected \(3,\)"),
+        (np.ones(4, dtype=bool), r"shape \(4,\), expected \(3,\)"),
+        (np.ones((3, 1), dtype=bool), r"shape \(3, 1\), expected \(3,\)"),
+        (np.ones((), dtype=bool), r"shape \(\), expected \(3,\)"),
+        (np.array([0, 1, 2]), "expected an array of booleans"),
+        ([True, True, True], "expected an array of booleans"),
+    ],
+)
+def test_inbox_refuses_mask_of_another_shape(make_goals, mask, words) -> None:
+    inboxes = GoalInboxes(np.array([3, 5, 8]), np.array([0]), 1.0)
+    with pytest.raises(MessageError, match=words):
+        inboxes.receive(make_goals(0, [8, 3, 5], [8j, 3j, 5j]), 0.0, mask)
+    assert np.isneginf(inboxes.received_s).all()
+
+
+def test_inbox_under_message_loss_updates_only_receivers(make_goals) -> None:
     inboxes = GoalInboxes(np.array([3, 5, 8]), np.array([0]), 1.0)
     inboxes.receive(make_goals(0, [8, 3, 5], [8j, 3j, 5j]), 0.0, np.array([True, False, True]))
     np.testing.assert_allclose(inboxes.rho_px[0], [0, 5j, 8j], atol=1e-14)
     np.testing.assert_array_equal(inboxes.fresh(0.0)[0], [False, True, True])
 
 
-def test_goals_are_forgotten_after_their_lifetime(make_goals) -> None:
-    """Counted from when it was received: a late message is still followed for the whole time."""
+def test_goal_is_stale_after_lifetime(make_goals) -> None:
+    """The lifetime starts at reception: a late message is still followed for the whole time."""
     inboxes = GoalInboxes(np.arange(2), np.array([0]), lifetime_s=0.5)
     inboxes.receive(make_goals(0, [0], [7 + 0j], time_s=0.0), 0.3)
     assert fuse_pixels(inboxes, 0.8)[0] == 7
@@ -158,8 +178,8 @@ def test_goals_are_forgotten_after_their_lifetime(make_goals) -> None:
     assert fuse_marker_sides(inboxes, 0.81)[0] == 0
 
 
-def test_goals_are_followed_up_to_the_very_end_of_their_lifetime(make_goals) -> None:
-    """The tolerance of times belongs to it, to the last bit."""
+def test_goal_is_fresh_up_to_end_of_lifetime(make_goals) -> None:
+    """The lifetime includes the tolerance of times, to the last bit."""
     inboxes = GoalInboxes(np.arange(1), np.array([0]), lifetime_s=0.5)
     last_s = 1.0 - 0.5 - TIME_TOLERANCE_S
     inboxes.receive(make_goals(0, [0], [7 + 0j], time_s=0.0), last_s)
@@ -167,8 +187,8 @@ def test_goals_are_followed_up_to_the_very_end_of_their_lifetime(make_goals) -> 
     assert not inboxes.fresh(np.nextafter(1.0, 2.0)).any()
 
 
-def test_a_forgotten_unit_leaves_the_mean(make_goals) -> None:
-    """After unit 0 falls silent the fusion is unit 1's alone: card(C_i) counts units received."""
+def test_fusion_excludes_unit_with_stale_goals(make_goals) -> None:
+    """After unit 0 falls silent the fusion is unit 1's alone: card(C_i) counts received units."""
     inboxes = GoalInboxes(np.arange(4), np.array([0, 1]), lifetime_s=0.5)
     inboxes.receive(make_goals(0, [1], [3 + 4j], neighbors=[{0: 10.0}]), 0.0)
     inboxes.receive(make_goals(1, [1], [1 - 2j], neighbors=[{0: 30.0}]), 0.4)

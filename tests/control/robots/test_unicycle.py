@@ -1,4 +1,4 @@
-"""Equations 2-3 and 6-8 against the paper's literal formulas, in words of its own coordinates."""
+"""Equations 2-3 and 6-8 against the paper's literal formulas, in its own coordinates."""
 
 import numpy as np
 import pytest
@@ -16,29 +16,29 @@ from skyherd.control.robots.unicycle import unicycle_law, wheel_law
 from skyherd.geometry import wrap_angle
 
 ROUNDING = 1e-12
-"""Angles of order 1 through two transcendental functions: 1e-15, with room."""
+"""Angles of order 1 through two transcendental functions: 1e-15, with a margin."""
 
 
 def in_half_open(angle: float) -> float:
-    """The paper's `Angles are taken in [-pi, pi)`."""
+    """Return the angle wrapped to the paper's interval [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def paper_alpha(rho: np.ndarray, y: np.ndarray) -> float:
-    """Equation 3: `atan2(-[(rho; 0) x (y; 0)]_z, -rho^T y)`, in axes with z up, towards the camera."""
+    """Return equation 3: `atan2(-[(rho; 0) x (y; 0)]_z, -rho^T y)`, in axes with z up, towards the camera."""
     rho_hat = rho / np.linalg.norm(rho)
     cross_z = np.cross([*rho_hat, 0.0], [*y, 0.0])[2]
     return in_half_open(np.arctan2(-cross_z, -rho_hat @ y))
 
 
 def paper_law(rho: float, alpha: float, k: float, k_omega: float) -> tuple[float, float]:
-    """Equations 7-8."""
+    """Return the speeds of equations 7-8."""
     alpha_d = 0.0 if abs(alpha) <= np.pi / 2 else np.pi
     return -k * np.sign(np.cos(alpha)) * rho, k_omega * in_half_open(alpha_d - alpha)
 
 
 def one_inbox(rho: np.ndarray) -> GoalInboxes:
-    """Robots that heard vectors `rho` in their own frames from one unit, with marker sides of 20 px."""
+    """Return inboxes of robots with vectors `rho` in their own frames from one unit; sides are 20 px."""
     inboxes = GoalInboxes(np.arange(rho.size), np.array([0]), 1.0)
     inboxes.rho_px[0] = rho
     inboxes.sides_px[0] = 20.0
@@ -46,7 +46,7 @@ def one_inbox(rho: np.ndarray) -> GoalInboxes:
     return inboxes
 
 
-def test_bearing_is_the_papers_angle(make_detections) -> None:
+def test_bearing_equals_angle_of_paper(make_detections) -> None:
     """alpha = pi - bearing, with the paper's cross product; image v is down, so z up needs (u, -v)."""
     rng = np.random.default_rng(1)
     for _ in range(50):
@@ -69,13 +69,11 @@ def test_bearing_is_the_papers_angle(make_detections) -> None:
 @pytest.mark.parametrize(
     ("error_px", "drives_forwards"), [(-40 + 30j, True), (40 + 30j, False)], ids=["ahead", "behind"]
 )
-def test_a_goal_to_the_left_on_the_ground_is_a_positive_bearing_and_turns_the_axis_towards_it(
-    make_detections, error_px, drives_forwards
-) -> None:
-    """The one flip of sense. Seen from above, robot 0 faces image right (+u); its left is image up (-v).
+def test_goal_on_left_gives_positive_bearing_and_turn(make_detections, error_px, drives_forwards) -> None:
+    """The only flip of sense. Seen from above, robot 0 faces image right (+u); its left is image up (-v).
 
-    Robot 0 stands 30 px below its place, and 40 px behind it or beyond it: the goal is well off the bearing
-    of pi/2 at which the law changes from driving forwards to backwards, so that no rounding decides the case.
+    Robot 0 is 30 px below its desired point, and 40 px behind it or beyond it. The goal is well off the
+    bearing of pi/2, at which the law changes from forwards to backwards, so that rounding has no effect.
     """
     template = Template(np.arange(3), np.array([-1 - 1j, 1 + 0j, -1 + 1j]))
     points = 400 + 400j + 100 * template.points_px + np.array([error_px, 0, 0])
@@ -105,8 +103,8 @@ def test_a_goal_to_the_left_on_the_ground_is_a_positive_bearing_and_turns_the_ax
         (-91, -1, 1),
     ],
 )
-def test_all_quadrants(bearing_deg, drives, turns) -> None:
-    """Goal ahead left: forward, left. Behind left: backwards, tail towards it, so to the right. And so on."""
+def test_unicycle_law_signs_in_all_quadrants(bearing_deg, drives, turns) -> None:
+    """Goal ahead left: forward, left. Goal behind left: backwards, tail first, so to the right; and so on."""
     rho = np.array([0.8 * np.exp(1j * np.radians(bearing_deg))])
     v, omega = unicycle_law(rho, MarkerGains(0.5, 2.0, 0.0, 0.25))
     assert (np.sign(v[0]), np.sign(np.round(omega[0], 12))) == (drives, turns)
@@ -117,10 +115,11 @@ def test_all_quadrants(bearing_deg, drives, turns) -> None:
     assert omega[0] == pytest.approx(expected_omega, abs=ROUNDING)
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     "gains", [PixelGains(0.02, 0.7, 0.0), MarkerGains(0.1, 0.7, 0.0, 0.2)], ids=["px", "side"]
 )
-def test_equations_7_and_8_over_all_directions(gains) -> None:
+def test_unicycle_law_equals_equations_7_and_8(gains) -> None:
     rng = np.random.default_rng(2)
     rho = rng.uniform(0, 50, 2000) * np.exp(1j * rng.uniform(-np.pi, np.pi, 2000))
     v, omega = unicycle_law(rho, gains)
@@ -131,7 +130,7 @@ def test_equations_7_and_8_over_all_directions(gains) -> None:
 
 
 @pytest.mark.parametrize("sense", [1, -1], ids=["left", "right"])
-def test_a_goal_at_right_angles_turns_in_place(sense) -> None:
+def test_goal_at_right_angle_turns_in_place(sense) -> None:
     """`If cos alpha = 0, v = 0 and robot i can rotate in place but not translate`; alpha_d = 0 there.
 
     alpha = pi - bearing = +pi/2 for a goal on the left: omega = -k pi/2, tail first. Exact: rho = ±i.
@@ -142,13 +141,13 @@ def test_a_goal_at_right_angles_turns_in_place(sense) -> None:
 
 
 @pytest.mark.parametrize("bearing", [np.pi, -np.pi])
-def test_a_goal_right_behind_is_backed_into_without_turning(bearing) -> None:
+def test_goal_behind_is_reached_backwards_without_turning(bearing) -> None:
     v, omega = unicycle_law(np.array([3 * np.exp(1j * bearing)]), MarkerGains(0.1, 2.0, 0.0, 0.5))
     assert v[0] == pytest.approx(-0.15)
     assert omega[0] == pytest.approx(0.0, abs=ROUNDING)
 
 
-def test_no_goal_no_motion() -> None:
+def test_robot_without_goal_stops() -> None:
     """alpha_m is 0 where rho is 0: v = omega = 0, exactly, and no NaN."""
     v, omega = unicycle_law(np.array([0j, -0.0 + 0j]), PixelGains(0.1, 2.0, 0.0))
     np.testing.assert_array_equal(np.abs([v, omega]), 0.0)
@@ -159,7 +158,7 @@ def test_no_goal_no_motion() -> None:
     [(PixelGains(0.01, 1.0, 10.0), 1.0), (MarkerGains(0.1, 1.0, 0.5, 0.3), 20.0)],
     ids=["10 px", "half a marker side"],
 )
-def test_robots_stop_below_the_threshold(gains, scale) -> None:
+def test_robot_below_threshold_stops(gains, scale) -> None:
     """v = omega = 0 if rho_m < b_th (Corollary 2), in px or in marker sides, here of 20 px."""
     rho = gains.b_th * scale * np.array([0.999, 1.0, 1.001]) * np.exp(0.4j)
     rho[1] = gains.b_th * scale  # exactly at the threshold: not below it
@@ -169,13 +168,13 @@ def test_robots_stop_below_the_threshold(gains, scale) -> None:
     assert command.omega_radps[2] == pytest.approx(0.4)
 
 
-def test_marker_gains_are_metres_a_second_a_metre() -> None:
+def test_marker_gains_give_speed_per_metre() -> None:
     """rho = side_m · rho_px / side_px metres, v = k rho: 40 px at 20 px a side of 0.3 m are 0.6 m."""
     command = robot_commands(one_inbox(np.array([40.0 + 0j])), MarkerGains(0.5, 1.0, 0.0, 0.3), 0.0)
     assert command.v_mps[0] == pytest.approx(0.5 * 0.6, rel=1e-14)
 
 
-def test_pixel_gains_are_metres_a_second_a_pixel() -> None:
+def test_pixel_gains_give_speed_per_pixel() -> None:
     command = robot_commands(one_inbox(np.array([40.0 + 0j])), PixelGains(0.002, 1.0, 0.0), 0.0)
     assert command.v_mps[0] == pytest.approx(0.08, rel=1e-14)
 
@@ -186,8 +185,8 @@ def test_wrap_angle_is_half_open() -> None:
 
 
 @pytest.mark.parametrize("rho", [30 + 5j, 5 + 30j, -20 - 20j, 0.1 + 0.1j])
-def test_a_marker_ahead_of_the_axis_is_driven_straight_also_at_a_limit(rho) -> None:
-    """Its centre moves at `v + i l ω`: that is along ρ, and within both limits with one of them reached."""
+def test_offset_law_drives_marker_straight_at_limits(rho) -> None:
+    """Its centre moves at `v + i l ω`, along ρ and within both limits; one of them is reached."""
     gains, wheels = MarkerGains(0.5, 1.0, 0.0, side_m=0.3), Wheels(0.4, 2.0, axis_offset_m=0.1)
     (v,), (omega,) = wheel_law(np.array([rho]), gains, wheels)
     motion, wanted = v + 1j * wheels.axis_offset_m * omega, 0.5 * 0.3 * rho

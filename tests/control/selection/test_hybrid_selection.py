@@ -1,4 +1,4 @@
-"""Free overlaps with a way back: the tree is built when they have failed, and not before."""
+"""Overlapping sets with a fallback: the tree starts after they have failed, and not before."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyherd.control import HybridSelection, Template, TreeProtocol
-from skyherd.control.goals import cost_share
+from skyherd.control.goals import lyapunov_term
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import random_mission
 from skyherd.loop import run_steps
@@ -16,9 +16,9 @@ TEMPLATE = Template.from_image_points([0, 1, 2, 3], [[0, 0], [1, 0], [1, 1], [0,
 
 @pytest.fixture
 def one_unit(make_report, make_detections):
-    """A unit that controls these robots and reports a cost, at 1 Hz: when a tree begins, s, or None.
+    """Return the start time of the tree, s, or None, of a unit that reports Lyapunov terms at 1 Hz.
 
-    It begins with the image after the report that shows the failure, one second later.
+    The tree starts with the image after the report that shows the failure, one second later.
     """
 
     def run(cost, controlled=(0, 1, 2, 3), until_s: int = 40) -> int | None:
@@ -35,26 +35,27 @@ def one_unit(make_report, make_detections):
     return run
 
 
-def test_a_cost_that_falls_keeps_free_overlaps(one_unit) -> None:
+def test_falling_lyapunov_value_keeps_overlapping_sets(one_unit) -> None:
     assert one_unit(lambda t: 100 * np.exp(-0.02 * t)) is None
 
 
-def test_a_cost_that_stalls_above_zero_begins_the_tree_after_the_stall_time(one_unit) -> None:
+@pytest.mark.smoke
+def test_stalled_lyapunov_value_starts_tree(one_unit) -> None:
     """The first comparison is with an image more than 10 s old."""
     assert one_unit(lambda t: 5.0) == 11
 
 
-def test_a_cost_at_its_floor_is_no_stall(one_unit) -> None:
+def test_lyapunov_value_at_floor_is_no_stall(one_unit) -> None:
     """All four robots 0.1 sides from their goals make V = 4 · 0.1² / 2; half of that is within the floor."""
     assert one_unit(lambda t: 0.01) is None
     assert one_unit(lambda t: 0.03) == 11
 
 
-def test_a_robot_that_nobody_controls_begins_the_tree_though_the_cost_is_zero(one_unit) -> None:
+def test_uncontrolled_robot_starts_tree(one_unit) -> None:
     assert one_unit(lambda t: 0.0, controlled=(0, 1, 2)) == 11
 
 
-def test_a_unit_follows_one_that_has_begun(make_report, make_detections) -> None:
+def test_unit_follows_started_tree(make_report, make_detections) -> None:
     follower, leader = HybridSelection(stall_s=10.0), TreeProtocol()
     seen = make_detections([0, 1, 2, 3], [300 + 300j, 400 + 300j, 400 + 400j, 300 + 400j])
     report = make_report(1, [0], [400 + 400j], [])
@@ -67,13 +68,13 @@ def test_a_unit_follows_one_that_has_begun(make_report, make_detections) -> None
     assert not selection.may_move and selection.tree_status is not None
 
 
-def test_the_cost_is_half_the_squares_in_marker_sides(make_goals) -> None:
-    assert cost_share(None) == 0.0
-    assert cost_share(make_goals(0, [0, 1], [3, 4j], sides=[1.0, 2.0])) == pytest.approx((9 + 4) / 2)
+def test_lyapunov_term_is_half_squares_in_marker_sides(make_goals) -> None:
+    assert lyapunov_term(None) == 0.0
+    assert lyapunov_term(make_goals(0, [0, 1], [3, 4j], sides=[1.0, 2.0])) == pytest.approx((9 + 4) / 2)
 
 
-def test_a_mission_that_free_overlaps_lose_is_saved_by_the_tree() -> None:
-    """Hovering units with a small radius lose robots: the shape never comes, until the tree is built."""
+def test_tree_saves_mission_lost_by_overlapping_sets() -> None:
+    """Hovering units with a small radius lose robots: the shape is reached only with the tree."""
     errors = {}
     for kind in ("radius", "radius-then-tree"):
         tree = random_mission(3) | {"perception": "ideal", "duration_s": 60.0}

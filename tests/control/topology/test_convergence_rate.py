@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from skyherd.control import Template, motion_goals
 from skyherd.control.topology.conditions import check_conditions
 from skyherd.control.topology.convergence_rate import laplacian, pair_rates, slowest_rate
-from skyherd.control.tree.pair_selection import firmer_pair
+from skyherd.control.tree.pair_selection import stronger_pair
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.geometry import wrap_angle
@@ -24,7 +24,7 @@ def cloud(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def tree_sets(rng: np.random.Generator, units: int) -> list[np.ndarray]:
-    """Random sets on a random tree: each edge shares two robots that nobody else has."""
+    """Return random sets on a random tree: each edge shares two robots that no other unit has."""
     sets, free, robots = [list(range(5))], [set(range(5))], 5
     for _ in range(1, units):
         parent = int(rng.choice([j for j in range(len(sets)) if len(free[j]) >= 2]))
@@ -38,12 +38,13 @@ def tree_sets(rng: np.random.Generator, units: int) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize(("tried", "least"), [(100, 300), pytest.param(300, 1000, marks=pytest.mark.slow)])
-def test_the_closed_form_of_two_units_is_the_eigenvalue(tried, least) -> None:
+def test_pair_rates_equal_eigenvalue(tried, least) -> None:
     """`pair_rates` against `slowest_rate` on random sets.
 
-    λ = 1 - sqrt(ρ): ρ is the larger root of a quadratic, which loses half the digits, 1e-8, where both roots
-    meet; elsewhere, with roots a gap g apart, 1e-16 / g. The root of ρ itself divides by sqrt(ρ). Random
-    sets have both near one tenth and seldom under 1e-3, so that 1e-12 is met where they are not smaller.
+    λ = 1 - sqrt(ρ), and ρ is the larger root of a quadratic. Where both roots meet it loses half the digits,
+    1e-8. Elsewhere, with roots a gap g apart, the error is 1e-16 / g. The root of ρ itself divides by
+    sqrt(ρ). Both are near one tenth for random sets and seldom under 1e-3, so that 1e-12 holds where they are
+    not smaller.
     """
     rng = np.random.default_rng(1)
     compared = 0
@@ -66,18 +67,18 @@ def test_the_closed_form_of_two_units_is_the_eigenvalue(tried, least) -> None:
     assert compared > least
 
 
-def test_a_lone_pair_leaves_the_neighbours_rate_to_itself() -> None:
-    """A set of a pair alone is always in shape: what remains is one projector, of rate 1."""
+def test_pair_rates_of_lone_pair_equal_one() -> None:
+    """A set of only a pair is always in shape: one projector of rate 1 remains."""
     points = cloud(np.random.default_rng(2), 6)
     rates = pair_rates(points, np.arange(6), NO_ID, np.array([[0, 1], [2, 5]]))
     np.testing.assert_allclose(rates, 1.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("units", [1, 2, 3, 5, 8])
-def test_the_null_space_is_that_of_similarities_in_p(units) -> None:
-    """L vanishes on 1 and p', and on nothing else: rank exactly two less than the robots, on random trees.
+def test_laplacian_null_space_is_similarities(units) -> None:
+    """L vanishes on 1 and p' only: its rank is exactly two less than the robots, on random trees.
 
-    Zero means rounding, N eps of a spectrum below 2; the third eigenvalue of these trees is above 1e-4.
+    Zero is rounding, N eps of a spectrum below 2; the third eigenvalue of these trees is above 1e-4.
     """
     rng = np.random.default_rng([3, units])
     for _ in range(20):
@@ -93,16 +94,16 @@ def test_the_null_space_is_that_of_similarities_in_p(units) -> None:
         assert np.abs(similar).max() < 1e-12
 
 
-def test_two_units_that_share_one_robot_leave_the_shape_free() -> None:
-    """The negative control: one of the parts can turn and grow about that robot, so L has one more zero."""
+def test_one_shared_robot_gives_rate_zero() -> None:
+    """Negative control: one part can rotate and scale about that robot, so L has one more zero."""
     points = cloud(np.random.default_rng(4), 8)
     sets = [np.arange(5), np.arange(4, 8)]
     assert slowest_rate(points, sets) < 1e-13
     assert slowest_rate(points, [np.arange(5), np.arange(3, 8)]) > 1e-3
 
 
-def test_the_rate_is_that_of_the_shape_not_of_its_place_or_size() -> None:
-    """Template turned, moved and scaled: the same to N eps times what centring loses, |offset| / size."""
+def test_rate_is_invariant_to_similarity_of_template() -> None:
+    """Template rotated, moved and scaled: equal to N eps times the loss by centring, |offset| / size."""
     rng = np.random.default_rng(5)
     for _ in range(50):
         sets = tree_sets(rng, 4)
@@ -116,19 +117,19 @@ def test_the_rate_is_that_of_the_shape_not_of_its_place_or_size() -> None:
         )
 
 
-def test_a_mirrored_template_has_the_same_rate() -> None:
-    """L goes over into its conjugate."""
+def test_rate_is_invariant_to_mirrored_template() -> None:
+    """L becomes its conjugate."""
     rng = np.random.default_rng(6)
     sets = tree_sets(rng, 3)
     points = cloud(rng, 1 + max(int(members.max()) for members in sets))
     assert slowest_rate(points.conj(), sets) == pytest.approx(slowest_rate(points, sets), abs=1e-13)
 
 
-def test_the_goals_of_all_units_add_up_to_minus_l_p(make_detections) -> None:
-    """`motion_goals` of each unit in its own image, taken back to the ground and summed: exactly -L p.
+def test_sum_of_goals_equals_minus_l_p(make_detections) -> None:
+    """`motion_goals` of each unit in its own image, mapped to the ground and summed: exactly -L p.
 
-    Cameras differ in scale, heading and place; headings of robots and bearings of goals pass through angles,
-    which rounding touches at 1e-16 of the points' size, some thousand pixels.
+    Cameras differ in scale, heading and position. Headings and bearings pass through angles, with a rounding
+    of 1e-16 of the points' size, some thousand pixels.
     """
     rng = np.random.default_rng(7)
     for _ in range(20):
@@ -148,8 +149,8 @@ def test_the_goals_of_all_units_add_up_to_minus_l_p(make_detections) -> None:
         np.testing.assert_allclose(total, flow, atol=1e-11)
 
 
-def test_the_gradient_of_v_is_l_p() -> None:
-    """V = 1/2 p* L p; central differences of a quadratic are exact but for 1e-16 V / h."""
+def test_gradient_of_lyapunov_function_equals_l_p() -> None:
+    """V = 1/2 p* L p; central differences of a quadratic are exact up to 1e-16 V / h."""
     rng = np.random.default_rng(8)
     sets = tree_sets(rng, 3)
     count = 1 + max(int(members.max()) for members in sets)
@@ -165,10 +166,11 @@ def test_the_gradient_of_v_is_l_p() -> None:
         assert slope == pytest.approx((matrix @ p)[robot], abs=1e-10)
 
 
-def test_the_flow_dies_out_at_the_slowest_rate() -> None:
-    """exp(-L t) on random starts: late, what is off the shape falls by exp(-λ_3) a unit of time.
+@pytest.mark.smoke
+def test_linear_flow_decays_at_slowest_rate() -> None:
+    """exp(-L t) on random starts: the late shape error falls by exp(-λ_3) per unit of time.
 
-    The next mode is behind by exp(-(λ_4 - λ_3) t): t is taken for it to be 1e-6 of the first.
+    The next mode is smaller by exp(-(λ_4 - λ_3) t); t makes it 1e-6 of the first.
     """
     rng = np.random.default_rng(9)
     for _ in range(20):
@@ -189,14 +191,14 @@ def test_the_flow_dies_out_at_the_slowest_rate() -> None:
         assert fall == pytest.approx(values[2], rel=max(100 * behind, 1e-6))
 
 
-def test_the_firmer_pair_is_the_nearest_that_is_firm_enough_or_the_firmest_there_is() -> None:
-    """Against every pair's eigenvalue: units of 3 to 6 robots beside their pair."""
+def test_stronger_pair_is_nearest_sufficient_or_strongest() -> None:
+    """The reference is every pair's eigenvalue: units of 3 to 6 robots beside their pair."""
     rng, told = np.random.default_rng(5), {"none": 0, "firm": 0, "firmest": 0}
     for _ in range(200):
         mine, theirs = (int(count) for count in rng.integers(3, 7, 2))
         points = cloud(rng, mine + 2 + theirs)
         ours, there, pair = range(mine), range(mine, points.size), (mine, mine + 1)
-        chosen = firmer_pair(
+        chosen = stronger_pair(
             Template(np.arange(points.size), points),
             frozenset(pair),
             candidates=frozenset(there) - frozenset(pair),
@@ -219,13 +221,13 @@ def test_the_firmer_pair_is_the_nearest_that_is_firm_enough_or_the_firmest_there
 
 
 @pytest.mark.parametrize("seed", [pytest.param(4, marks=pytest.mark.slow), 6])
-def test_the_late_slope_of_a_mission_is_that_of_the_slowest_mode(seed) -> None:
-    """Unicycles, two units with their own cameras, points without noise: the error falls as L says.
+def test_late_mission_error_decays_at_slowest_rate(seed) -> None:
+    """Unicycles, two units with their own cameras, points without noise: the error falls as L predicts.
 
-    Commands are held for a step of dt, so that late, with headings aligned, each step multiplies the slowest
-    mode by 1 - k λ dt: a slope of -log(1 - k λ dt) / dt. Modes are orthogonal: the next one adds to the norm
-    in quadrature, by exp(-2 k (λ_4 - λ_3) t) of what it had t before, at the last change of sets. That share
-    may begin tenfold; the error itself, under 5e-4, enters the fit of the shape in second order.
+    Commands are held for a step of dt. Late, with aligned headings, each step multiplies the slowest mode by
+    1 - k λ dt: a slope of -log(1 - k λ dt) / dt. Modes are orthogonal. The next one adds to the norm in
+    quadrature, by exp(-2 k (λ_4 - λ_3) t) of its share at the last change of sets, t before. That share may
+    start tenfold. The error itself, under 5e-4, enters the fit of the shape in second order.
     """
     tree = random_mission(seed, Crowd(2, 5))
     tree["perception"] = "ideal"

@@ -1,4 +1,4 @@
-"""Random missions keep what they promise, and a few of them keep TC1-TC5 and reach their shape."""
+"""Random missions satisfy their specification; some of them keep TC1-TC5 and reach their shape."""
 
 import argparse
 
@@ -38,7 +38,7 @@ def options(**changed) -> argparse.Namespace:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_random_mission_keeps_its_promises(seed) -> None:
+def test_random_mission_satisfies_its_specification(seed) -> None:
     mission = make_mission(random_mission(seed) | {"perception": "ideal"})
     robots, template = to_complex(mission.positions_m), mission.template.points_px.conj()
     assert 4 * len(mission.scenario.units) <= mission.ids.size <= 64
@@ -50,20 +50,19 @@ def test_a_random_mission_keeps_its_promises(seed) -> None:
     reached, left = {0}, set(range(1, len(seen)))
     while left and (more := {u for u in left if any(len(seen[u] & seen[k]) >= IN_COMMON for k in reached)}):
         reached, left = reached | more, left - more
-    assert not left, "neighbours that see enough in common connect all units"
+    assert not left, "neighbours with enough common robots connect all units"
 
 
-def test_markers_are_legible_at_the_start() -> None:
-    """Each is LEGIBLE_PX large at least, by the focal length and the height, and none twice as large."""
+def test_random_mission_markers_are_legible_at_start() -> None:
+    """Each is at least LEGIBLE_PX large, by the focal length and the height, and none twice as large."""
     world = make_world(make_mission(random_mission(1)))
     for unit, camera in enumerate(world.cameras):
         side_px = camera.focal_px * SIDE_M / world.fleet.pose(unit).height_m
         assert LEGIBLE_PX <= side_px < 2 * LEGIBLE_PX
 
 
-def test_the_same_mission_can_be_drawn_and_projected() -> None:
-    """Only the perception differs: rendered images show what the projected ones hold, and markers that the
-    border cuts."""
+def test_random_mission_rendered_equals_projected() -> None:
+    """Only the perception differs: rendered images also show markers that the border cuts."""
     steps = [
         next(iter(run_steps(make_mission(random_mission(0) | {"perception": perception}))))
         for perception in ("noisy", "rendered")
@@ -77,15 +76,15 @@ def test_the_same_mission_can_be_drawn_and_projected() -> None:
         assert np.abs(both.centers_px[order[0]] - projected.centers_px[order[1]]).max() < 0.05
 
 
-def test_no_marker_of_a_mission_covers_another() -> None:
-    """Bodies hold a card of a side and a sixth all around, whichever way it is turned, and stay apart."""
+def test_random_mission_markers_do_not_overlap() -> None:
+    """Bodies contain a card of a side plus a sixth on all sides in any rotation, and do not touch."""
     scenario = make_mission(random_mission(1)).scenario
     card = 1 + 2 / 6
     assert scenario.avoidance.on
     assert scenario.robots.body_radius_sides >= card / np.sqrt(2)
 
 
-def test_the_same_seed_is_the_same_mission() -> None:
+def test_random_mission_is_deterministic_in_seed() -> None:
     assert random_mission(4) == random_mission(4) != random_mission(5)
     assert star_mission(4) == star_mission(4) != star_mission(5)
 
@@ -94,15 +93,15 @@ def test_the_same_seed_is_the_same_mission() -> None:
     ("seed", "network"),
     [(0, "perfect"), (38, "lossy"), pytest.param(9, "lossy", marks=pytest.mark.slow)],
 )
-def test_a_few_missions_stay_inside_p_and_reach_their_shape(load_benchmark, seed, network) -> None:
-    """Two, three and five units; what `benchmarks/topology.py` does a thousand times."""
+def test_random_missions_stay_in_p_and_converge(load_benchmark, seed, network) -> None:
+    """Two, three and five units, as in a thousand runs of `benchmarks/topology.py`."""
     row = load_benchmark("topology").run_mission(seed, options(network=network))
     assert row["converged"] and row["p_violation_s"] == 0.0
     assert row["time_to_1pct_s"] < 1.5 * row["predicted_s"]
 
 
 @pytest.mark.parametrize("seed", [14, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_unit_that_dies_is_succeeded(load_benchmark, seed) -> None:
+def test_failed_unit_is_succeeded(load_benchmark, seed) -> None:
     """One of four units with 16 robots, and one of six with 48."""
     row = load_benchmark("topology").run_mission(seed, options(kill=True))
     assert row["converged"]
@@ -118,12 +117,10 @@ def test_a_unit_that_dies_is_succeeded(load_benchmark, seed) -> None:
         pytest.param(0, "star", True, False, marks=pytest.mark.slow),
     ],
 )
-def test_units_that_receive_their_neighbors_alone_stay_inside_p_by_relay(
-    load_benchmark, seed, form, relay, left
-) -> None:
-    """Five units whose radio reaches a tenth farther than it must; without relays P is left.
+def test_relay_keeps_units_with_short_range_in_p(load_benchmark, seed, form, relay, left) -> None:
+    """Five units with a radio range a tenth above the minimum; without relays they leave P.
 
-    With `left` the mission ends as soon as it is; without, it comes to its shape nevertheless.
+    With `left` the mission ends at that time; without it the shape is reached nevertheless.
     """
     module = load_benchmark("topology")
     made = module.mission_tree
@@ -142,10 +139,10 @@ def test_units_that_receive_their_neighbors_alone_stay_inside_p_by_relay(
 
 
 @pytest.mark.parametrize("learns", [True, False])
-def test_units_whose_clocks_differ_stay_inside_p_by_the_teams_time(load_benchmark, learns) -> None:
-    """Three clocks that are 1.8 to 3.8 s slow, so that the mission begins at negative times, and drift.
+def test_team_time_keeps_units_with_different_clocks_in_p(load_benchmark, learns) -> None:
+    """Three clocks that are 1.8 to 3.8 s slow, so that the mission starts at negative times, and drift.
 
-    Negative control: units that take each other's stamps as they are.
+    Negative control: units that use each other's stamps unchanged.
     """
     module = load_benchmark("topology")
     with pytest.MonkeyPatch.context() as patch:
@@ -158,14 +155,14 @@ def test_units_whose_clocks_differ_stay_inside_p_by_the_teams_time(load_benchmar
 
 
 @pytest.mark.parametrize("seed", [2, pytest.param(8, marks=pytest.mark.slow)])
-def test_whoever_is_left_of_a_team_brings_all_its_robots_into_the_shape(load_benchmark, seed) -> None:
-    """All units but one die, at one time or one after the other."""
+def test_surviving_unit_brings_all_robots_into_shape(load_benchmark, seed) -> None:
+    """All units except one fail, at one time or one after the other."""
     row = load_benchmark("topology").run_mission(seed, options(survivor=True))
     assert row["units"] >= 4 and row["converged"]
 
 
-def test_the_benchmark_notices_a_topology_that_leaves_p(load_benchmark) -> None:
-    """Negative control: free overlaps are outside P from the first instant that counts."""
+def test_benchmark_detects_topology_outside_p(load_benchmark) -> None:
+    """Negative control: overlapping sets are outside P from the first evaluated instant."""
     module = load_benchmark("topology")
     made = module.mission_tree
     module.mission_tree = lambda seed, chosen: made(seed, chosen) | {"selection": {"kind": "radius"}}
@@ -176,10 +173,8 @@ def test_the_benchmark_notices_a_topology_that_leaves_p(load_benchmark) -> None:
     assert row["p_violation_s"] > 1.0
 
 
-def test_a_mission_is_given_up_when_it_takes_many_times_as_long_as_its_rival(
-    load_benchmark, tmp_path
-) -> None:
-    """And is then counted at the time it had, which is a lower bound."""
+def test_slow_mission_is_stopped_and_counted_as_lower_bound(load_benchmark, tmp_path) -> None:
+    """A mission that takes many times as long as its rival counts with its elapsed time, a lower bound."""
     rival = tmp_path / "rival.jsonl"
     rival.write_text('{"seed": 0, "time_to_1pct_s": 0.5, "ready_s": 4.0, "simulated_s": 9.0}\n')
     module = load_benchmark("topology")

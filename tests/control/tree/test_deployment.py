@@ -1,4 +1,4 @@
-"""Before the tree is complete: units look around, hold their place while it grows, search if it stalls."""
+"""Before the tree is complete: units search, hold their position while it grows, search if it stalls."""
 
 from itertools import combinations
 from typing import Any
@@ -8,7 +8,7 @@ import pytest
 
 from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.control.topology.convergence_rate import slowest_rate
-from skyherd.control.tree.node_state import TreeRule
+from skyherd.control.tree.node_state import TreeSettings
 from skyherd.datasets import make_mission
 from skyherd.datasets.generated.random_missions import Crowd, random_mission
 from skyherd.loop import Step, run_steps
@@ -33,10 +33,10 @@ def founders(step: Step) -> list[int]:
 
 
 @pytest.mark.parametrize("seed", [0, 3])
-def test_units_look_around_before_the_tree_and_hold_their_place_while_it_grows(seed) -> None:
-    """It grows in every slot of these two missions; then units move to where their sets want them.
+def test_units_search_before_tree_and_hold_while_it_grows(seed) -> None:
+    """The tree grows in every slot of these two missions; then units move to their sets.
 
-    Others hear of the tree with their next image, and robots and cameras move on a step after a command.
+    Others receive the founder's report with their next image, and cameras move a step after a command.
     """
     *before, at_once = until_ready(random_mission(seed), 20.0)
     assert is_ready(at_once)
@@ -57,8 +57,8 @@ def counts_inside(step: Step, radius: float) -> dict[int, int]:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_unit_that_sees_most_robots_founds_the_tree_and_controls_all_of_them(seed) -> None:
-    """As many as any other said of its image before."""
+def test_founder_sees_and_controls_most_robots(seed) -> None:
+    """At least as many as any other unit reported of its image before."""
     mission = make_mission(random_mission(seed) | {"perception": "ideal"})
     radius, before = mission.scenario.selection.radius, {}
     for step in run_steps(mission):
@@ -72,14 +72,14 @@ def test_the_unit_that_sees_most_robots_founds_the_tree_and_controls_all_of_them
 
 
 def edge_rate(points: np.ndarray, one: np.ndarray, other: np.ndarray) -> float:
-    """The rate at which two units agree, by themselves."""
+    """Return the rate at which two units agree by themselves."""
     both = np.union1d(one, other)
     return slowest_rate(points[both], [np.searchsorted(both, rows) for rows in (one, other)])
 
 
 @pytest.mark.parametrize("firm", [0.2, 0.0])
-def test_units_that_see_little_in_common_fly_to_see_what_binds_them(firm) -> None:
-    """Every edge comes to bind firmly, but for the factor that a change must be worth; not with firm = 0."""
+def test_units_with_weak_edges_fly_to_stronger_pairs(firm) -> None:
+    """Every edge becomes strong, up to the gain that a change requires; not with firm = 0."""
     tree = random_mission(3, Crowd(3, 6)) | {"perception": "ideal"}
     tree["selection"]["firm"] = firm
     mission, ready_s = make_mission(tree), np.inf
@@ -92,11 +92,11 @@ def test_units_that_see_little_in_common_fly_to_see_what_binds_them(firm) -> Non
     edges = [pair for pair in combinations(rows, 2) if np.intersect1d(*pair).size == 2]
     rates = [edge_rate(mission.template.points_px, *edge) for edge in edges]
     assert len(edges) == 2
-    assert (min(rates) >= 0.2 / TreeRule().gain) == (firm > 0)
+    assert (min(rates) >= 0.2 / TreeSettings().gain) == (firm > 0)
 
 
-def test_units_that_share_no_robots_climb_until_they_do() -> None:
-    """No unit can ask any other: the tree does not grow for a slot, and they look around again."""
+def test_units_without_common_robots_climb() -> None:
+    """No unit can ask another one: the tree does not grow for a slot, and they search again."""
     tree = random_mission(0)
     for unit in tree["units"]:
         unit["height_m"] = 0.5 * unit["height_m"]
@@ -106,6 +106,6 @@ def test_units_that_share_no_robots_climb_until_they_do() -> None:
     heights = np.array([step.fleet.heights_m for step in steps])
     still = np.flatnonzero((np.diff(heights, axis=0) == 0).all(axis=1))
     begun = next(step.time_s for step in steps if founders(step))
-    assert begun <= steps[still[0]].time_s and steps[still[-1]].time_s >= begun + TreeRule().dwell_s
+    assert begun <= steps[still[0]].time_s and steps[still[-1]].time_s >= begun + TreeSettings().dwell_s
     assert is_ready(steps[-1]) and (heights[-1] > heights[0]).all()
     assert steps[-1].metrics.conditions.in_p

@@ -1,4 +1,4 @@
-"""One edge of the tree: turns alternate, whatever becomes of the reports that hand them over."""
+"""One edge of the tree: turns alternate under any fate of the reports that hand them over."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ NONE = np.array([], dtype=np.int64)
 
 
 def report_of(edge: Edge, time_s: float = 0.0) -> UnitReport:
-    """What the unit at this end reports, of this edge alone."""
+    """Return the report of the unit at this end, with this edge alone."""
     offered, to_release = sorted(edge.offered), sorted(edge.releasing & edge.offered)
     status = TreeStatus(
         tree_id=0,
@@ -42,15 +42,15 @@ def ends() -> tuple[Edge, Edge]:
     return Edge(3, 7, 0.0, 0, pair), Edge(7, 3, 0.0, 0, pair)
 
 
-def test_exactly_one_end_has_each_turn() -> None:
+def test_each_turn_belongs_to_exactly_one_end() -> None:
     for turn in range(20):
         assert has_turn(turn, 3, 7) != has_turn(turn, 7, 3)
         assert has_turn(turn, 3, 7) == (turn % 2 == 0), "the lower unit has_turn the even ones"
 
 
 @pytest.mark.parametrize("holder", [3, 7])
-def test_a_new_edge_begins_beyond_all_turns_of_a_former_one(holder) -> None:
-    """A turn an image, at 500 images a second: after 60 s the old edge is behind where a new one starts."""
+def test_new_edge_starts_beyond_turns_of_former_edge(holder) -> None:
+    """A turn per image, at 500 images a second: after 60 s the old edge is behind the start of a new one."""
     other = 10 - holder
     start = first_turn(1.0, holder, other)
     assert has_turn(start, holder, other) and not has_turn(start, other, holder)
@@ -58,18 +58,18 @@ def test_a_new_edge_begins_beyond_all_turns_of_a_former_one(holder) -> None:
 
 
 @pytest.mark.parametrize("time_ms", [0, 1, 2, 3, 1000, 1001])
-def test_whoever_opens_an_edge_has_its_first_turn_no_sooner_than_the_clock(time_ms) -> None:
+def test_first_turn_belongs_to_opener_and_follows_clock(time_ms) -> None:
     for holder, other in ((3, 7), (7, 3)):
         start = first_turn(time_ms / 1000, holder, other)
         assert has_turn(start, holder, other) and start in (time_ms, time_ms + 1)
 
 
-def test_the_turn_goes_over_with_pair_and_offers() -> None:
+def test_received_turn_contains_pair_and_offers() -> None:
     one, two = ends()
     assert one.is_my_turn and not two.is_my_turn
     one = replace(one, pair=frozenset({1, 5}))
     one = one.handed_over(offered=frozenset({8, 9}), releasing=frozenset({9, 4}))
-    assert not one.is_my_turn and not two.is_my_turn, "on its way nobody has it"
+    assert not one.is_my_turn and not two.is_my_turn, "in transit no end has it"
     two = two.received(report_of(one))
     assert two.is_my_turn and (two.turn, two.pair) == (1, {1, 5})
     assert two.reach == {8, 9} and two.to_release == {9}, "only what is offered can be released"
@@ -79,7 +79,7 @@ def test_the_turn_goes_over_with_pair_and_offers() -> None:
     assert one.is_my_turn and one.reach == {6} and not one.offered and not two.reach
 
 
-def test_repeated_and_older_reports_change_nothing() -> None:
+def test_repeated_and_stale_reports_change_nothing() -> None:
     one, two = ends()
     one = one.handed_over(frozenset({8}), NO_ROBOTS)
     old = report_of(one)
@@ -96,7 +96,7 @@ def test_repeated_and_older_reports_change_nothing() -> None:
     assert one.turn == 3, "nor a report of a turn that has passed"
 
 
-def test_an_end_that_knows_no_turn_takes_the_first_report() -> None:
+def test_end_without_turn_accepts_first_report() -> None:
     heir = Edge(7, 3, 0.0, pair=frozenset({1, 2}))
     assert heir.turn == NO_TURN and not heir.is_my_turn
     other = Edge(3, 7, 0.0, 51, frozenset({4, 5}))
@@ -105,10 +105,10 @@ def test_an_end_that_knows_no_turn_takes_the_first_report() -> None:
 
 
 @pytest.mark.parametrize("turn", [4, 5])
-def test_an_end_that_was_given_up_goes_over_to_the_new_edge(turn) -> None:
-    """Unit 3 buried unit 7 and then found it again, as the heir of another one: two edges of one name.
+def test_abandoned_end_changes_to_new_edge(turn) -> None:
+    """Unit 3 declared unit 7 dead and then found it again, as the heir of another one: two edges of one name.
 
-    Unit 7 waited for the next turn of the first one for good, whether that was its own or not.
+    Without the rule unit 7 waits forever for the next turn of the first edge, whether its own or not.
     """
     old = Edge(7, 3, 0.0, turn, frozenset({1, 2}), offered=frozenset({8}))
     new = Edge(3, 7, 32.0, first_turn(32.0, 3, 7), frozenset({4, 5}))
@@ -119,7 +119,7 @@ def test_an_end_that_was_given_up_goes_over_to_the_new_edge(turn) -> None:
     assert old.is_my_turn and old.reach == {6}
 
 
-def test_a_report_on_other_edges_says_nothing_of_this_one() -> None:
+def test_report_on_other_edges_changes_nothing() -> None:
     one, two = ends()
     assert edge_status(report_of(one), 8) is None
     before = (two.turn, two.pair)
@@ -129,10 +129,10 @@ def test_a_report_on_other_edges_says_nothing_of_this_one() -> None:
 
 @settings(max_examples=60)
 @given(st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 200), st.booleans()), max_size=60))
-def test_turns_never_part_by_more_than_one_whatever_is_received(story) -> None:
-    """Each end reports at will and receives any ever sent, in any order: one turn, one pair, one holder.
+def test_turns_of_both_ends_differ_by_at_most_one(story) -> None:
+    """Each end reports at any time and receives any report in any order: one turn, one pair, one holder.
 
-    `pair` stands for what the holder changed, a fresh number each time: ends at the same turn have the same.
+    `pair` represents the holder's change, a new number each time: ends at the same turn have the same.
     """
     edges = dict(zip("ab", ends(), strict=True))
     sent: dict[str, list[UnitReport]] = {name: [report_of(edge)] for name, edge in edges.items()}

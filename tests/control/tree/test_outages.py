@@ -1,4 +1,4 @@
-"""A unit that is dead for a while, in the whole loop; and a lens that its unit zooms itself."""
+"""Temporary failure of a unit in the whole loop, and a lens that its unit zooms itself."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ TIMEOUT_S = 0.4
 
 @pytest.fixture
 def tree_of(scenario_tree) -> Any:
-    """The triangle under two units at one place, both with all robots in view, 10 images a second."""
+    """Return the triangle under two units at one position that see all robots, 10 images a second."""
 
     def make(*units: dict[str, Any]) -> dict[str, Any]:
         tree = scenario_tree("triangle") | {"perception": "ideal", "duration_s": 3.0, "step_s": 0.1}
@@ -34,8 +34,8 @@ def between(steps: list[Step], start_s: float, end_s: float) -> list[Step]:
     return [step for step in steps if start_s - 1e-9 <= step.time_s < end_s - 1e-9]
 
 
-def test_a_dead_unit_has_no_image_no_set_and_does_not_move(tree_of) -> None:
-    """Drifting before and after; nothing in between, and the conditions are judged without it."""
+def test_dead_unit_has_no_image_no_set_and_no_motion(tree_of) -> None:
+    """The unit drifts before and after, but not in between; the conditions are evaluated without it."""
     drifting = {"flight": {"kind": "perimeter", "speed_mps": 0.5}, "outages": [[DIES_S, RETURNS_S]]}
     mission = make_mission(tree_of({}, drifting))
     steps = list(run_steps(mission))
@@ -50,8 +50,8 @@ def test_a_dead_unit_has_no_image_no_set_and_does_not_move(tree_of) -> None:
     assert moved[:10].all() and not moved[10:20].any() and moved[20:].all()
 
 
-def test_robots_follow_the_last_goals_for_their_timeout_and_then_hold_still(tree_of) -> None:
-    """The only unit dies: goals of the image before last for, in fact, the time-out; then nobody moves."""
+def test_watchdog_stops_robots_after_goal_timeout(tree_of) -> None:
+    """The only unit fails: robots follow the goals of the image before last for the timeout, then stop."""
     mission = make_mission(tree_of({"outages": [[DIES_S, RETURNS_S]]}))
     steps = list(run_steps(mission))
     last_image_s = DIES_S - 0.1
@@ -61,8 +61,8 @@ def test_robots_follow_the_last_goals_for_their_timeout_and_then_hold_still(tree
         assert (np.abs(step.command.v_mps).max() > 0) == follows
 
 
-def test_a_unit_returns_knowing_nothing(tree_of) -> None:
-    """Its set begins anew, from the robots inside its radius now; else it would have kept others."""
+def test_restarted_unit_has_no_state(tree_of) -> None:
+    """Its set starts from the robots inside its radius now; with its memory it would have kept others."""
     tree = tree_of({"outages": [[DIES_S, RETURNS_S]]})
     tree["selection"] = {"radius": 0.35}
     mission = make_mission(tree)
@@ -72,7 +72,7 @@ def test_a_unit_returns_knowing_nothing(tree_of) -> None:
     assert steps[20].control_sets[0].tolist() == np.sort(first.ids[near]).tolist()
 
 
-def test_outages_of_several_units_overlap_and_end(tree_of) -> None:
+def test_outages_of_several_units_overlap(tree_of) -> None:
     scenario = make_mission(
         tree_of({"outages": [[0.0, 1.0], [2.0, 2.5]]}, {"outages": [[0.5, 2.2]]})
     ).scenario
@@ -84,7 +84,7 @@ def test_outages_of_several_units_overlap_and_end(tree_of) -> None:
 
 
 def zoom_for(world: World, rate_ps: float, seconds: float, start_s: float = 0.0) -> float:
-    """The first unit's zoom after it asked for a relative change for some time."""
+    """Return the first unit's zoom after a commanded relative change for some time."""
     rest = VelocityCommand(world.ids, np.zeros(world.ids.size), np.zeros(world.ids.size))
     world.fly(FlightCommand(0, np.zeros(2), 0.0, 0.0, rate_ps))
     for tick in range(round(10 * seconds)):
@@ -92,7 +92,7 @@ def zoom_for(world: World, rate_ps: float, seconds: float, start_s: float = 0.0)
     return world.camera_pose(0).zoom
 
 
-def test_a_unit_zooms_exponentially_within_its_lens_range(tree_of) -> None:
+def test_zoom_is_exponential_within_lens_range(tree_of) -> None:
     """`zoom' = rate zoom`, so that `zoom(t) = exp(rate t)`, to rounding, until the range ends."""
     world = make_world(make_mission(tree_of({"zoom_range": [0.5, 2.0]})))
     assert zoom_for(world, 0.3, 2.0) == pytest.approx(np.exp(0.6), rel=1e-12)
@@ -103,12 +103,12 @@ def test_a_unit_zooms_exponentially_within_its_lens_range(tree_of) -> None:
     assert zoom_for(fixed, 0.3, 2.0) == 1.0, "a lens without a range"
 
 
-def test_the_scripted_zoom_multiplies_the_units_own(tree_of) -> None:
+def test_scripted_zoom_multiplies_zoom_of_unit(tree_of) -> None:
     world = make_world(make_mission(tree_of({"zoom_range": [0.5, 4.0], "zoom": [[0.0, 1.0], [2.0, 1.5]]})))
     assert zoom_for(world, 0.2, 2.0) == pytest.approx(1.5 * np.exp(0.4), rel=1e-12)
 
 
-def test_robots_that_a_unit_cannot_keep_in_view_are_taken_over() -> None:
+def test_robots_out_of_view_are_taken_over() -> None:
     """Below a ceiling: the founder sees all of its robots only while they stand close together."""
     mission = load_mission("scramble", ["perception=ideal", "control.rectify=false"])
     covered = []
@@ -123,7 +123,7 @@ def test_robots_that_a_unit_cannot_keep_in_view_are_taken_over() -> None:
     heights_m, ceiling_m = step.fleet.heights_m, mission.scenario.autopilot.max_height_m
     assert heights_m.max() == ceiling_m
     ready = next(row for row, yes in enumerate(covered) if yes)
-    assert not all(covered[ready:]), "it has lost some on the way"
+    assert not all(covered[ready:]), "it loses some during the run"
     assert all(covered[-50:])
     assert step.metrics.conditions.in_p
     assert step.metrics.shape.error < 0.01

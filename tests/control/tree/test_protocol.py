@@ -1,4 +1,4 @@
-"""Interleavings that once broke the tree protocol, written out; and what a crash costs."""
+"""Interleavings that violate the tree protocol without a rule, written out; and the cost of a crash."""
 
 from copy import deepcopy
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from protocol_world import ProtocolWorld
 
-from skyherd.control import Template, TreeRule
+from skyherd.control import Template, TreeSettings
 from skyherd.control.tree.edge import NO_TURN, Edge, first_turn
 from skyherd.control.tree.joining import join_tree
 from skyherd.control.tree.node_state import NodeState, Situation
@@ -17,18 +17,18 @@ from skyherd.control.tree.orphans import adopt_orphans, yield_claims
 from skyherd.control.tree.peer_reports import PeerReports
 from skyherd.messages import NO_ID, TreeStatus, UnitReport
 
-RULE = TreeRule()
+RULE = TreeSettings()
 STEP_S = 0.5
 NONE = np.array([], dtype=np.int64)
 
 
 def everything(robots: int) -> dict[int, float]:
-    """A view of all robots, well inside."""
+    """Return a view of all robots, well inside."""
     return {robot: 0.1 + 0.7 * robot / robots for robot in range(robots)}
 
 
 def formed(units: int, robots: int) -> ProtocolWorld:
-    """Units that all see all robots, after the tree has grown."""
+    """Return units that all see all robots, after the tree has grown."""
     return deepcopy(_formed(units, robots))
 
 
@@ -41,7 +41,7 @@ def _formed(units: int, robots: int) -> ProtocolWorld:
 
 
 def no_tree() -> TreeStatus:
-    """What a unit reports that belongs to no tree and asks nobody."""
+    """Return the status of a unit outside a tree without a request."""
     return TreeStatus(
         tree_id=NO_ID,
         asks_id=NO_ID,
@@ -63,7 +63,7 @@ def no_tree() -> TreeStatus:
 
 
 def member_report(unit_id: int, time_s: float, controlled, seen: dict[int, float], pair=()) -> UnitReport:
-    """What a member says; its edge, if any, is to unit 99."""
+    """Return the report of a member; its edge, if any, is to unit 99."""
     edges = 1 if pair else 0
     status = TreeStatus(
         tree_id=0,
@@ -89,16 +89,16 @@ def member_report(unit_id: int, time_s: float, controlled, seen: dict[int, float
 
 
 def member(unit_id: int, own: set[int], held_s: float, reports: list[UnitReport], **changes):
-    """State and situation, at 10 s, of a member that has received these reports."""
+    """Return state and context, at 10 s, of a member that has received these reports."""
     state = NodeState(own=frozenset(own), tree_id=0, slot=5, held_s=dict.fromkeys(own, held_s), **changes)
     return state, situation(unit_id, 10.0, reports)
 
 
 def situation(unit_id: int, time_s: float, reports: list[UnitReport], distances=None, at_slot: bool = True):
-    """What a unit goes by at an image in which it sees robots at these distances."""
+    """Return the context of a unit at an image with robots at these distances."""
     peers = PeerReports()
     return Situation(
-        rule=RULE,
+        settings=RULE,
         shape=Template(np.arange(8), np.exp(1j * np.arange(8))),
         unit_id=unit_id,
         time_s=time_s,
@@ -114,23 +114,23 @@ def situation(unit_id: int, time_s: float, reports: list[UnitReport], distances=
 
 
 @pytest.mark.parametrize(("said_s", "kept"), [(8.9, {4, 5}), (9.1, {5})])
-def test_what_a_unit_said_before_this_one_had_a_robot_is_no_claim(said_s, kept) -> None:
-    """Robot 4 went from unit 0 by way of unit 1 to unit 2, at 9 s, which last heard unit 0 before that.
+def test_stale_report_is_no_claim(said_s, kept) -> None:
+    """Robot 4 passed from unit 0 via unit 1 to unit 2, at 9 s, which received unit 0's report before that.
 
-    Unit 2 dropped it for unit 0's sake, which no longer had it: nobody did.
+    If unit 2 dropped it because of unit 0, which no longer had it, the robot would be uncontrolled.
     """
     state, now = member(2, {4, 5}, 9.0, [member_report(0, said_s, {3, 4}, {})])
-    assert yield_claims(state, now)["own"] == kept
+    assert yield_claims(state, now).own == kept
 
 
-def test_a_higher_unit_yields_and_a_pair_does_not() -> None:
-    """Robot 4 is both units' own: the lower one keeps it. Robot 5 is in a pair elsewhere: an own one goes."""
+def test_higher_unit_yields_claim_and_pair_does_not() -> None:
+    """Robot 4 is both units' own: the lower one keeps it. Robot 5 is in another pair: its owner yields."""
     claims = {"controlled": {4, 5, 6}, "seen": {}, "pair": (5, 6)}
     low, high = (
         yield_claims(*member(unit, {4, 5}, 5.0, [member_report(other, 9.0, **claims)]))
         for unit, other in ((1, 2), (2, 1))
     )
-    assert (low["own"], high["own"]) == ({4}, set())
+    assert (low.own, high.own) == ({4}, set())
 
 
 @pytest.mark.parametrize(
@@ -141,8 +141,8 @@ def test_a_higher_unit_yields_and_a_pair_does_not() -> None:
         pytest.param(9.5, (2,), {3}, id="one of them claimed"),
     ],
 )
-def test_only_what_nobody_else_may_have_is_lent(said_s, claimed, offered) -> None:
-    """Two units adopted robot 2 at once, and each lent it: two pairs had it, and neither ever let it go."""
+def test_only_undisputed_robots_are_offered(said_s, claimed, offered) -> None:
+    """Two units adopted robot 2 at once. If each offered it, two pairs would contain it permanently."""
     reports = [
         member_report(1, 9.8, (), everything(8)),
         member_report(3, said_s, claimed, {}),
@@ -153,33 +153,33 @@ def test_only_what_nobody_else_may_have_is_lent(said_s, claimed, offered) -> Non
 
 
 @pytest.mark.parametrize(("said_s", "adopts"), [(7.9, False), (8.0, True)])
-def test_a_robot_is_an_orphan_only_if_all_say_so_of_the_same_slot(said_s, adopts) -> None:
-    """Unit 1 gave robot 4 to unit 2, which took it at 7.95 s, and was last heard before.
+def test_orphan_needs_reports_of_all_units_in_same_slot(said_s, adopts) -> None:
+    """Unit 1 gave robot 4 to unit 2, which took it at 7.95 s; its last report is from before.
 
-    At the slot of 10 s a word of the slot from 8 s on tells; an older one does not.
+    At the slot of 10 s a report of the slot from 8 s on is valid; an older one is not.
     """
     reports = [member_report(1, 9.9, (), {}), member_report(2, said_s, (), {})]
     state, _ = member(0, set(), 0.0, reports)
     for time_s, at_slot in ((8.1, False), (10.0, True)):
         now = situation(0, time_s, reports, distances={4: 0.3}, at_slot=at_slot)
-        state = replace(state, **adopt_orphans(state, now))
+        state = adopt_orphans(state, now)
     assert (4 in state.own) == adopts
 
 
 # --- joining ---
 
 
-def test_a_late_grant_answers_a_question_that_is_no_longer_put() -> None:
-    """Unit 1 asks unit 0, sees too few robots for a moment, and asks anew; then the first grant arrives.
+def test_late_grant_of_withdrawn_request_is_void() -> None:
+    """Unit 1 asks unit 0, sees too few robots for a moment, and asks again; then the first grant arrives.
 
-    Unit 0 had withdrawn it, and lent the robots to somebody else. Turns went apart for good.
+    Unit 0 had withdrawn it and offered the robots to another unit. The turns would differ permanently.
     """
     world = ProtocolWorld(2, 5, RULE, [everything(5), {}])
     world.quiet(4.0, STEP_S)
     assert world.sets[0] == set(range(5))
 
     def step(*, deliver_to: int | None = None) -> None:
-        """Both take an image; letters arrive at one unit only, the others wait."""
+        """Give both units an image; reports arrive at one unit only, the others wait."""
         world.time_s += 0.1
         for unit in (0, 1):
             if unit == deliver_to:
@@ -209,10 +209,10 @@ def test_a_late_grant_answers_a_question_that_is_no_longer_put() -> None:
     assert world.in_p() and not world.edge_faults()
 
 
-def test_a_unit_that_asks_gets_both_of_two_robots_in_its_turn() -> None:
+def test_requesting_unit_gets_both_robots_of_pair() -> None:
     """Unit 1 has robots 4 and 5 left, which units 0 and 2 see; unit 0 asks, unit 2 is a neighbour.
 
-    Each had one of them in every slot, robot by robot, which makes no pair: unit 0 was never admitted.
+    If each got one of them in every slot, which makes no pair, unit 0 would never be admitted.
     """
     neighbor = member_report(2, 9.9, (), everything(8), pair=(6, 7))
     asking = member_report(0, 9.9, (), everything(8))
@@ -226,7 +226,7 @@ def test_a_unit_that_asks_gets_both_of_two_robots_in_its_turn() -> None:
 
 
 def admitting(unit_id: int, robots: tuple[int, ...]) -> UnitReport:
-    """What a member says that could share these robots."""
+    """Return the report of a member that could share these robots."""
     return replace(
         member_report(unit_id, 19.9, robots, everything(8)), secure_ids=np.array(robots, dtype=np.int64)
     )
@@ -244,7 +244,7 @@ def admitting(unit_id: int, robots: tuple[int, ...]) -> UnitReport:
         "one that has too few by now",
     ],
 )
-def test_a_unit_that_is_not_admitted_asks_one_member_after_the_other(asked, asked_at_s, asks) -> None:
+def test_rejected_unit_asks_members_in_turn(asked, asked_at_s, asks) -> None:
     """At 20 s: unit 0 has three robots in common with it, units 2 and 3 two, unit 1 one. Five slots are 10 s.
 
     In one of a thousand missions a unit asked a member for minutes that had promised all of its robots to
@@ -253,11 +253,11 @@ def test_a_unit_that_is_not_admitted_asks_one_member_after_the_other(asked, aske
     common = {0: (0, 1, 2), 1: (3,), 2: (6, 7), 3: (4, 5)}
     reports = [admitting(unit, robots) for unit, robots in common.items()]
     state = NodeState(slot=9, asks_id=asked, ask_turn=first_turn(asked_at_s, 4, max(asked, 0)))
-    changes = join_tree(state, situation(4, 20.0, reports, everything(8)))
-    assert changes.get("asks_id", asked) == asks
-    assert changes.get("ask_turn", state.ask_turn) == (
-        state.ask_turn if asks == asked else first_turn(20.0, 4, asks)
-    ), "another question, another turn"
+    changed = join_tree(state, situation(4, 20.0, reports, everything(8)))
+    assert changed.asks_id == asks
+    assert changed.ask_turn == (state.ask_turn if asks == asked else first_turn(20.0, 4, asks)), (
+        "another question, another turn"
+    )
 
 
 @pytest.mark.parametrize(
@@ -265,23 +265,23 @@ def test_a_unit_that_is_not_admitted_asks_one_member_after_the_other(asked, aske
     [(9.0, 8, (), True), (11.0, 8, (), False), (9.0, 9, (), False), (9.0, 8, (0, 1), False)],
     ids=["five slots without a pair", "not yet", "not in the other's turn", "with a pair"],
 )
-def test_an_edge_that_gets_no_pair_is_given_up_for_another_member(since_s, turn, pair, gives_up) -> None:
-    """At 20 s, of unit 4's edge to unit 5, whose turns are odd, and which has no robots left to share."""
+def test_edge_without_pair_is_replaced_by_other_member(since_s, turn, pair, gives_up) -> None:
+    """At 20 s, for unit 4's edge to unit 5, whose turns are odd, and which has no robots left to share."""
     edge = Edge(4, 5, since_s=since_s, turn=turn, pair=frozenset(pair))
     assert edge.is_my_turn == (turn == 8)
     state = NodeState(slot=9, asks_id=5, ask_turn=first_turn(9.0, 4, 5), edges={5: edge})
-    changes = join_tree(state, situation(4, 20.0, [admitting(5, ()), admitting(0, (0, 1))], everything(8)))
+    changed = join_tree(state, situation(4, 20.0, [admitting(5, ()), admitting(0, (0, 1))], everything(8)))
     told = {"edges": {}, "asks_id": 0, "ask_turn": first_turn(20.0, 4, 0)}
-    assert dict(changes) == (told if gives_up else {})
+    assert changed == (replace(state, **told) if gives_up else state)
 
 
-def test_the_only_member_that_can_admit_a_unit_is_asked_as_long_as_it_takes() -> None:
+def test_only_suitable_member_is_asked_without_limit() -> None:
     reports = [admitting(0, (0, 1)), admitting(1, (2,))]
     state = NodeState(slot=9, asks_id=0, ask_turn=first_turn(0.0, 4, 0))
-    assert not join_tree(state, situation(4, 20.0, reports, everything(8)))
+    assert join_tree(state, situation(4, 20.0, reports, everything(8))) == state
 
 
-def test_a_founder_asks_nobody() -> None:
+def test_founder_requests_no_admission() -> None:
     world = ProtocolWorld(2, 5, RULE, [everything(5), everything(5)])
     world.quiet(10.0, STEP_S)
     world.crash(0)
@@ -289,8 +289,8 @@ def test_a_founder_asks_nobody() -> None:
     assert world.nodes[1].state.asks_id == NO_ID
 
 
-def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None:
-    """Unit 0 chose unit 1, which founded the tree and then lost sight of what made it the better one."""
+def test_founder_choice_stays_while_report_is_in_transit() -> None:
+    """Unit 0 chose unit 1, which founded the tree and then lost sight of its additional robots."""
     world = ProtocolWorld(2, 6, RULE, [{4: 0.1, 5: 0.1}, {3: 0.1, 4: 0.1, 5: 0.1}])
     world.image(0)
     world.quiet(RULE.dwell_s - STEP_S, STEP_S)
@@ -315,13 +315,14 @@ def test_the_choice_of_the_founder_stands_while_its_word_is_on_the_way() -> None
 # --- succession ---
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("units", [2, 3])
 @pytest.mark.parametrize("when", range(8))
-def test_one_crash_costs_a_silence_and_two_images(units, when) -> None:
-    """Any unit, at any image of two dwell times: all else being well, TC1-TC5 hold again that soon, and stay.
+def test_crash_is_repaired_after_silence_and_two_images(units, when) -> None:
+    """Any unit, at any image of two dwell times: without other faults TC1-TC5 hold again by then, and stay.
 
-    The heir takes over all that was the dead unit's at its first image after the silence, and the others turn
-    to the heir at theirs.
+    The heir takes over the dead unit's robots and edges at its first image after the silence timeout. The
+    others join the heir at theirs.
     """
     for dead in range(units):
         world = formed(units, 4 * units)
@@ -334,10 +335,10 @@ def test_one_crash_costs_a_silence_and_two_images(units, when) -> None:
 
 
 @pytest.mark.parametrize("dead", range(3))
-def test_a_unit_back_before_it_was_missed_is_succeeded_and_admitted(dead) -> None:
-    """It knows nothing of its edges. Its neighbours go by its last will, not by what it says now.
+def test_unit_back_before_timeout_is_succeeded_and_admitted(dead) -> None:
+    """It has no memory of its edges. Its neighbours use its last report as a member, not its present one.
 
-    They took its pairs as their own, and its neighbours had no edge between them ever after.
+    Otherwise they would take its pairs as their own, without an edge between them.
     """
     world = formed(3, 12)
     world.crash(dead)
@@ -351,10 +352,11 @@ def test_a_unit_back_before_it_was_missed_is_succeeded_and_admitted(dead) -> Non
 
 @pytest.mark.parametrize("one", range(3))
 @pytest.mark.parametrize("both_ways", [True, False])
-def test_parts_that_did_not_hear_each_other_come_together(one, both_ways) -> None:
-    """A unit and all others are deaf to each other, or it alone is, for three silences; then all is well.
+def test_partition_is_healed(one, both_ways) -> None:
+    """A unit and all others do not receive each other, or it alone does not, for three silence timeouts.
 
-    Each side goes on without the other and both have all robots. They stayed two trees of one number.
+    Each side continues without the other and both have all robots. Without healing they remain two trees of
+    one number.
     """
     world = formed(3, 12)
     for _ in range(round(3 * RULE.silence_s / STEP_S)):
@@ -374,8 +376,8 @@ def test_parts_that_did_not_hear_each_other_come_together(one, both_ways) -> Non
         world.quiet(STEP_S, STEP_S)
 
 
-def test_with_a_neighbour_that_has_nothing_left_no_pair_is_weighed() -> None:
-    """It has left the tree while the turn was here: its empty set is no fit to compare pairs by."""
+def test_no_pair_is_compared_with_empty_neighbor() -> None:
+    """The neighbour left the tree while the turn was here: its empty set allows no comparison of pairs."""
     world = formed(2, 6)
     node = world.nodes[0]
     while not node.state.edges[1].is_my_turn:
@@ -404,8 +406,8 @@ def test_with_a_neighbour_that_has_nothing_left_no_pair_is_weighed() -> None:
 
 @pytest.mark.parametrize("seers", [{0}, {2}, {0, 1, 2}])
 @pytest.mark.parametrize("when", range(4))
-def test_a_robot_that_appears_is_one_units_within_a_dwell_time_and_a_half(seers, when) -> None:
-    """Half a dwell time of nobody's claim, the next slot after that, and an image."""
+def test_new_robot_is_adopted_within_one_and_a_half_dwell_times(seers, when) -> None:
+    """Half a dwell time without a claim, the next slot after that, and an image."""
     world = formed(3, 12)
     for unit in range(3):
         del world.views[unit][11]
@@ -422,8 +424,8 @@ def test_a_robot_that_appears_is_one_units_within_a_dwell_time_and_a_half(seers,
 
 
 @pytest.mark.parametrize("when", range(4))
-def test_a_robot_that_was_carried_off_changes_hands_within_a_silence_and_two_slots(when) -> None:
-    """Its unit announces it at the first slot after a silence, and with the next one it is handed over.
+def test_moved_robot_is_handed_over_after_silence_and_two_slots(when) -> None:
+    """Its unit announces it at the first slot after a silence timeout, and hands it over with the next one.
 
     All units take their images at the same instants, and at each of these one unit has it: TC1-TC5 hold
     throughout.

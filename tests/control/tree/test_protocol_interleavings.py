@@ -1,25 +1,26 @@
-"""The tree protocol under any interleaving of images, messages, losses, crashes and views.
+"""The tree protocol under any interleaving of images, messages, message loss, crashes and views.
 
-Two machines drive two and three units through a radio that delivers what hypothesis chooses, when and as
-often as it chooses, while robots enter and leave the views.
+Two machines drive two and three units. Hypothesis chooses when and how often the radio delivers each message.
+Robots enter and leave the views.
 
-`Faithful`: no unit dies, every two hear each other once in a silence, and a unit sees each robot of its set
-once in a silence. Then at every instant
+`Faithful`: no unit fails, every two receive each other once per silence timeout, and a unit sees each robot
+of its set once per silence timeout. Then at every instant
 
-- nobody loses a robot: what is controlled stays controlled;
-- two units share the pair of their edge, as the end with the later turn knows it, or nothing; so no robot is
+- no robot is lost: a controlled robot stays controlled;
+- two units share the pair of their edge, as known by the end with the later turn, or nothing; so no robot is
   controlled by three;
-- the two ends of an edge are at most one turn apart, at the same turn they have the same pair, and never do
-  both have the turn: the two believe different pairs only until the first report handed over arrives.
+- the two ends of an edge are at most one turn apart. At the same turn they have the same pair, and never do
+  both have the turn. The two have different pairs only until the first report handed over arrives.
 
-Only a robot that nobody had, and that units which could not yet know of each other adopted, may be held by
-all of these for `SETTLING_S`: adopters do so in the same slot (a dwell time), and the higher one drops it on
-the first report of the lower one that it hears (a silence, and its own next image).
+Only an uncontrolled robot, adopted by units that could not yet know of each other, may be held by all of
+these for `SETTLING_S`. Adopters do so in the same slot (a dwell time). The higher one drops it on the first
+report of the lower one that it receives (a silence timeout, and its own next image).
 
-`Faulty`: units crash, come back knowing nothing, and are deaf to each other for as long as it takes. Once all
-letters arrive and every unit sees all robots, TC1-TC5 hold after `healing_s`, and from then on: two silences
-and one more until a unit that was given up, or that belongs to the smaller part, has resigned; and for each
-unit, since they may have to join one by one, a slot for its first turn and one for adopting what it left.
+`Faulty`: units crash, return without memory, and do not receive each other for any time. Once all messages
+arrive and every unit sees all robots, TC1-TC5 hold after `healing_s`, and from then on. This time is two
+silence timeouts, plus one until a unit that was declared dead, or that belongs to the smaller part, has
+resigned. Units may have to join one by one. The time therefore adds, for each unit, a slot for its first turn
+and one for the adoption of its robots.
 """
 
 from dataclasses import replace
@@ -32,28 +33,28 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_sta
 from protocol_world import ProtocolWorld
 
 from skyherd.control.tree.failover import GRACE
-from skyherd.control.tree.node_state import TreeRule
+from skyherd.control.tree.node_state import TreeSettings
 from skyherd.control.tree.protocol import TreeProtocol
 
 IMAGE_S = 0.9
 """The longest time between two images of a unit."""
-RULE = TreeRule(gain=1.05)
+RULE = TreeSettings(gain=1.05)
 SETTLING_S = RULE.dwell_s + RULE.silence_s + 2 * IMAGE_S
 
 DISTANCES = st.sampled_from([None, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0, 1.2])
-"""Where a unit sees a robot, in half images; None: not at all."""
+"""Distance at which a unit sees a robot, in half images; None if it does not."""
 NUMBERS = st.integers(0, 1000)
 TICKS = st.lists(st.tuples(st.sampled_from("dkdkl"), NUMBERS), max_size=8)
-"""Fates of letters: delivered, delivered and kept to come again, lost."""
+"""Fates of messages: delivered, delivered and kept for a repetition, lost."""
 
 
 def healing_s(units: int) -> float:
-    """How long after all faults the units agree on a tree again."""
+    """Return the time after all faults in which the units agree on a tree again."""
     return (GRACE + 1) * RULE.silence_s + 2 * units * RULE.dwell_s
 
 
 class Machine(RuleBasedStateMachine):
-    """Images, letters and views; what holds is checked after every image."""
+    """Images, messages and views; the invariants are checked after every image."""
 
     make: ClassVar[type[TreeProtocol]] = TreeProtocol
 
@@ -84,7 +85,7 @@ class Machine(RuleBasedStateMachine):
         idle=st.sampled_from([None, None, 0, 1, 2]),
     )
     def tick(self, dt: float, fates: list[tuple[str, int]], order: list[int], idle: int | None) -> None:
-        """Time passes, letters meet their fates, units take images one by one."""
+        """Advance the time, decide the fates of messages, and give units their images one by one."""
         world = self.world
         world.time_s = round(world.time_s + dt, 3)
         for turn, unit in enumerate(order):
@@ -102,7 +103,7 @@ class Machine(RuleBasedStateMachine):
 
     @rule(unit=NUMBERS, robot=NUMBERS, distance=DISTANCES)
     def look(self, unit: int, robot: int, distance: float | None) -> None:
-        """A robot moves in the view of a unit, or out of it."""
+        """Move a robot in the view of a unit, or out of it."""
         view, robot = self.world.views[unit % self.world.units], robot % self.world.robots
         view.pop(robot, None)
         if distance is not None:
@@ -113,7 +114,7 @@ class Machine(RuleBasedStateMachine):
 
 
 class Faithful(Machine):
-    """Without faults: TC3-TC5 hold and nobody loses a robot, at every instant."""
+    """Machine without faults: TC3-TC5 hold and no robot is lost, at every instant."""
 
     def image(self, unit: int) -> None:
         world = self.world
@@ -122,7 +123,7 @@ class Faithful(Machine):
         world.image(unit)
         after = world.holders()
         lost = before.keys() - after.keys()
-        assert not lost, f"at {world.time_s} s nobody controls {sorted(lost)} any more"
+        assert not lost, f"at {world.time_s} s uncontrolled: {sorted(lost)}"
         self.adopted_s |= dict.fromkeys(after.keys() - before.keys(), world.time_s)
         young = {r for r, since_s in self.adopted_s.items() if world.time_s - since_s <= SETTLING_S}
         assert not world.edge_faults(but=young), f"at {world.time_s} s {world.edge_faults(but=young)}"
@@ -130,7 +131,7 @@ class Faithful(Machine):
         assert not shared, f"at {world.time_s} s controlled by three: {shared}"
 
     def _keep_faith(self, unit: int) -> None:
-        """No silence is longer than the rule's: between two units, nor of a robot to the unit that has it."""
+        """Limit silences to the protocol's timeout: between two units, and of a robot to its unit."""
         world, node = self.world, self.world.nodes[unit]
         longest_s = RULE.silence_s - 0.01
         for other, report in world.latest.items():
@@ -144,7 +145,7 @@ class Faithful(Machine):
 
 
 class Faulty(Machine):
-    """With faults: what they break is whole again, a bounded time after the last one."""
+    """Machine with faults: violated conditions hold again a bounded time after the last fault."""
 
     @rule(unit=NUMBERS)
     def crash(self, unit: int) -> None:
@@ -160,7 +161,7 @@ class Faulty(Machine):
 
     @rule(seconds=st.sampled_from([1.0, 4.0, 8.0]), deaf=NUMBERS, dumb=NUMBERS)
     def be_deaf(self, seconds: float, deaf: int, dumb: int) -> None:
-        """One unit hears nothing of another one, or of anybody, while all else is well."""
+        """Block reception of one unit from another one, or from all, without other faults."""
         world = self.world
         deaf, dumb = deaf % world.units, dumb % world.units
         for _ in range(round(seconds / 0.5)):
@@ -192,7 +193,7 @@ class Faulty(Machine):
 
 
 class Hasty(TreeProtocol):
-    """Exchanges whenever it likes, without the turn: the rule that keeps TC3 and TC4, broken on purpose."""
+    """Protocol that exchanges without the turn: a deliberate violation of the rule for TC3 and TC4."""
 
     def choose(self, seen, reports, shape, last):
         edges = dict(self.state.edges)
@@ -209,7 +210,7 @@ class FaithfulHasty(Faithful):
 
 
 class Careless(TreeProtocol):
-    """Forgets what it has lent, and lends it to others: the promise that keeps a robot from a third unit."""
+    """Protocol that forgets its offers and offers robots twice: a deliberate violation of the promise."""
 
     def choose(self, seen, reports, shape, last):
         edges = {unit: replace(edge, offered=frozenset()) for unit, edge in self.state.edges.items()}
@@ -236,22 +237,22 @@ def run(machine: type[Machine], examples: int, steps: int, **extra) -> None:
 
 @pytest.mark.random
 @pytest.mark.parametrize("machine", [Faithful, Faulty])
-def test_any_interleaving(machine) -> None:
+def test_protocol_is_safe_under_interleavings(machine) -> None:
     run(machine, 8, 40)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("machine", [Faithful, Faulty])
-def test_very_many_interleavings(machine) -> None:
+def test_protocol_is_safe_under_many_interleavings(machine) -> None:
     run(machine, 600, 80)
 
 
-def test_without_turns_the_machine_finds_a_violation() -> None:
+def test_machine_detects_missing_turns() -> None:
     with pytest.raises(AssertionError, match=r"share|turn"):
         run(FaithfulHasty, 400, 40, phases=[Phase.generate])
 
 
 @pytest.mark.slow
-def test_with_broken_promises_the_machine_finds_a_violation() -> None:
+def test_machine_detects_broken_promises() -> None:
     with pytest.raises(AssertionError, match=r"share|turn|three"):
         run(FaithfulCareless, 400, 60, phases=[Phase.generate])

@@ -1,9 +1,8 @@
-"""The order of the protocol's rules: what it gives, and that wrong orders are noticed.
+"""The order of the protocol's rules: its effect, and the detection of wrong orders.
 
-Each rule is safe by itself: in any order TC3-TC5 hold, which the tests of the protocol show with the rules
-reversed as well. What the order gives is that a unit reacts in the image in which it learns of something.
-Where it does not, the units of a tree that was just founded begin to look around before it had a slot to grow
-in, and move while others count on what they see.
+Each rule is safe by itself: TC3-TC5 hold in any order, as the tests of the protocol show with reversed rules.
+The order makes a unit react in the image in which it receives information. In a wrong order the units of a
+new tree search before it had a slot to grow in, and move while others rely on their views.
 """
 
 from collections.abc import Sequence
@@ -12,14 +11,14 @@ import numpy as np
 import pytest
 from protocol_world import ProtocolWorld
 
-from skyherd.control import AerialController, KeepInView, TreeProtocol, TreeRule
+from skyherd.control import AerialController, KeepInView, TreeProtocol, TreeSettings
 from skyherd.control.tree.protocol import RULES, Transition
 from skyherd.datasets import make_mission, random_mission
 from skyherd.loop import run_steps
 from skyherd.messages import NO_ID
 
 NAMES = [transition.__name__ for transition, _ in RULES]
-RULE = TreeRule()
+RULE = TreeSettings()
 
 
 def ordered(names: Sequence[str]) -> tuple[tuple[Transition, str], ...]:
@@ -31,7 +30,7 @@ def moved_to_the_end(name: str) -> list[str]:
 
 
 def held_for_s(names: Sequence[str]) -> float:
-    """How long all units hold their place after the founding of a tree, while none shares robots."""
+    """Return the time for which all units hold their position after the founding, without shared robots."""
     rules = ordered(names)
     tree = random_mission(0) | {"perception": "ideal", "duration_s": 8.0}
     for unit in tree["units"]:
@@ -52,7 +51,7 @@ def held_for_s(names: Sequence[str]) -> float:
     return still_s - founded_s
 
 
-def test_units_hold_their_place_for_a_slot_after_the_tree_was_founded() -> None:
+def test_units_hold_position_for_a_slot_after_founding() -> None:
     assert held_for_s(NAMES) >= RULE.dwell_s
 
 
@@ -64,13 +63,13 @@ def test_units_hold_their_place_for_a_slot_after_the_tree_was_founded() -> None:
         pytest.param(moved_to_the_end("use_turns"), id="use_turns last"),
     ],
 )
-def test_a_wrong_order_is_noticed(names) -> None:
+def test_wrong_rule_order_is_detected(names) -> None:
     assert held_for_s(names) < RULE.dwell_s
 
 
 @pytest.mark.parametrize("names", [NAMES, NAMES[::-1]], ids=["as it is", "reversed"])
-def test_any_order_keeps_the_conditions(names) -> None:
-    """Three units that see all of twelve robots: in P once formed, and again after a death and a return."""
+def test_any_rule_order_keeps_conditions(names) -> None:
+    """Three units that see all of twelve robots: in P once formed, and again after a failure and a return."""
     rules = ordered(names)
     views = [{robot: 0.1 + 0.05 * robot for robot in range(12)} for _ in range(3)]
     world = ProtocolWorld(3, 12, RULE, views, make=lambda rule: TreeProtocol(rule, rules=rules))
@@ -82,12 +81,12 @@ def test_any_order_keeps_the_conditions(names) -> None:
 
 
 @pytest.mark.parametrize("name", ["receive_turns", "fail_over", "admit", "join_tree", "use_turns"])
-def test_no_rule_can_be_left_out(name) -> None:
-    """Without it the team of the test above is not formed, or not mended."""
+def test_every_rule_is_necessary(name) -> None:
+    """Without it the team of the test above is not formed, or not repaired."""
     with pytest.raises(AssertionError):
-        test_any_order_keeps_the_conditions([other for other in NAMES if other != name])
+        test_any_rule_order_keeps_conditions([other for other in NAMES if other != name])
 
 
-def test_every_rule_has_its_place_once_and_a_reason() -> None:
+def test_every_rule_occurs_once_with_reason() -> None:
     assert len(set(NAMES)) == len(NAMES)
     assert all(len(reason.split()) > 3 for _, reason in RULES)

@@ -1,11 +1,11 @@
-"""Single rules of the tree protocol, each in a situation in which one condition of it decides."""
+"""Single rules of the tree protocol, each in a context in which one of its conditions decides."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from skyherd.control import BodyRule, RoleRule, Template, TreeRule
+from skyherd.control import BodyRule, RoleRule, Template, TreeSettings
 from skyherd.control.tree.edge import NO_TURN, Edge
 from skyherd.control.tree.failover import fail_over, name_heir, successor_of
 from skyherd.control.tree.hand_over import give, take
@@ -23,7 +23,7 @@ from skyherd.messages import NO_ID, NO_SLOT, TreeStatus, UnitReport
 
 SIZE_PX = np.array([800, 800])
 SHAPE = Template(np.arange(8), np.exp(2j * np.pi * np.arange(8) / 8) * (1 + 0.1 * np.arange(8)))
-RULE = TreeRule(share="nearest")
+RULE = TreeSettings(share="nearest")
 
 
 def report(
@@ -39,7 +39,7 @@ def report(
     handed=None,
     accepts=(),
 ):
-    """A report: what the unit sees by distance in half images, its edges as (neighbour, turn, pair)."""
+    """Return a report: visible robots by distance in half images, edges as (neighbour, turn, pair)."""
     sees, handed = sees or {}, handed or {}
     points = np.array([(799 / 2 + 400 * at, 799 / 2) for at in sees.values()]).reshape(-1, 2)
     tree = TreeStatus(
@@ -73,11 +73,11 @@ def report(
 
 
 def situation(unit, reports, *, time_s=10.0, sees=None, at_slot=True):
-    """What a unit goes by at an image in slot 5, by default the first one."""
+    """Return the context of a unit at an image in slot 5, by default the first one."""
     peers = PeerReports()
     news = peers.take(reports)
     return Situation(
-        rule=RULE,
+        settings=RULE,
         shape=SHAPE,
         unit_id=unit,
         time_s=time_s,
@@ -94,66 +94,66 @@ def robots(*ids):
 
 
 def out_of_view(*ids, **fields):
-    """A member's state whose own robots, these ones, went out of its view at 5 s."""
+    """Return a member's state whose own robots, these ones, left its view at 5 s."""
     times = {"seen_s": dict.fromkeys(ids, 5.0), "held_s": dict.fromkeys(ids, 1.0)}
     return NodeState(own=robots(*ids), tree_id=0, **times, **fields)
 
 
-def test_robots_out_of_view_go_to_the_member_that_sees_them_nearest_inside_its_radius():
+def test_lost_robot_goes_to_nearest_member_inside_radius():
     reports = [report(7, 10.0, sees={1: 0.3, 2: 0.9}), report(9, 10.0, sees={1: 0.2, 3: 0.2})]
     changed = give(out_of_view(1, 2, 3), situation(0, reports))
-    assert changed["giving"] == {1: HandOver(9), 3: HandOver(9)}
-    assert changed["own"] == robots(1, 2, 3), "announced is not yet given"
+    assert changed.giving == {1: HandOver(9), 3: HandOver(9)}
+    assert changed.own == robots(1, 2, 3), "announced robots are still its own"
 
 
-def test_a_robot_that_is_promised_is_not_handed_over():
-    """Robots 1 and 2 went out of view and unit 9 sees both; 1 is offered to unit 7."""
+def test_promised_robot_is_not_handed_over():
+    """Robots 1 and 2 left the view and unit 9 sees both; 1 is offered to unit 7."""
     edge = Edge(0, 7, 0.0, turn=1, pair=robots(3, 4), offered=robots(1))
     now = situation(0, [report(9, 10.0, sees={1: 0.1, 2: 0.1})])
-    assert give(out_of_view(1, 2, edges={7: edge}), now)["giving"].keys() == {2}
+    assert give(out_of_view(1, 2, edges={7: edge}), now).giving.keys() == {2}
 
 
-def test_a_robot_that_another_unit_claims_as_well_is_not_handed_over():
-    """Of robots 1 and 2, which unit 9 sees, unit 7 claims 1: whose it is must be settled first."""
+def test_disputed_robot_is_not_handed_over():
+    """Of robots 1 and 2, which unit 9 sees, unit 7 claims 1: that dispute must be settled first."""
     reports = [report(7, 10.0, controls=[1]), report(9, 10.0, sees={1: 0.1, 2: 0.1})]
-    assert give(out_of_view(1, 2), situation(0, reports))["giving"].keys() == {2}
+    assert give(out_of_view(1, 2), situation(0, reports)).giving.keys() == {2}
 
 
-def test_what_is_settled_goes_to_nobody_else():
-    """Unit 7 sees the robot nearer by now, but unit 9 counts on it."""
+def test_settled_hand_over_keeps_its_receiver():
+    """Unit 7 sees the robot nearer by now, but unit 9 relies on it."""
     now = situation(0, [report(7, 10.0, sees={1: 0.1}), report(9, 10.0, sees={1: 0.3})])
-    assert give(out_of_view(1, giving={1: HandOver(9, 6)}), now)["giving"] == {1: HandOver(9, 6)}
+    assert give(out_of_view(1, giving={1: HandOver(9, 6)}), now).giving == {1: HandOver(9, 6)}
 
 
-def test_a_robot_that_is_handed_over_is_not_offered():
+def test_handed_over_robot_is_not_offered():
     now = situation(0, [report(9, 10.0, sees={1: 0.1, 2: 0.1})], sees={1: 0.1, 2: 0.1})
     state = NodeState(own=robots(1, 2), tree_id=0, giving={2: HandOver(9, 6)}, held_s={1: 1.0, 2: 1.0})
     assert offerable(state, now, 9) == robots(1)
 
 
 @pytest.mark.parametrize(("time_s", "slot"), [(10.0, 6), (10.8, 6), (11.2, 7), (11.9, 7)])
-def test_an_accepted_hand_over_is_settled_half_a_slot_ahead_at_least(time_s, slot):
+def test_accepted_hand_over_is_settled_half_a_slot_ahead(time_s, slot):
     """Slots are of 2 s; the sixth begins at 12 s, the seventh at 14 s."""
     now = situation(0, [report(9, time_s, sees={1: 0.1}, accepts=[1])], time_s=time_s, at_slot=False)
-    assert give(out_of_view(1, giving={1: HandOver(9)}), now)["giving"] == {1: HandOver(9, slot)}
+    assert give(out_of_view(1, giving={1: HandOver(9)}), now).giving == {1: HandOver(9, slot)}
 
 
 @pytest.mark.parametrize("at_slot", [True, False])
-def test_what_is_not_accepted_stays(at_slot):
-    """Unit 9 no longer sees the robot: at a slot the unit looks for another taker, which there is not."""
+def test_unaccepted_hand_over_is_withdrawn(at_slot):
+    """Unit 9 no longer sees the robot: at a slot the unit searches for another receiver, without success."""
     now = situation(0, [report(9, 10.0, sees={2: 0.1}, accepts=[2])], at_slot=at_slot)
     changed = give(out_of_view(1, giving={1: HandOver(9)}), now)
-    assert changed["own"] == robots(1) and changed["giving"] == ({} if at_slot else {1: HandOver(9)})
+    assert changed.own == robots(1) and changed.giving == ({} if at_slot else {1: HandOver(9)})
 
 
 @pytest.mark.parametrize(("slot", "own"), [(5, ()), (6, (1,)), (NO_SLOT, (1,))])
-def test_a_settled_robot_is_dropped_in_its_slot_and_not_before(slot, own):
-    """Also if the unit has seen it again meanwhile: the other one counts on it."""
+def test_settled_robot_is_dropped_exactly_in_its_slot(slot, own):
+    """This holds even if the unit has seen it again meanwhile: the other one relies on it."""
     now = situation(0, [report(9, 10.0)], sees={1: 0.1}, at_slot=False)
     state = NodeState(own=robots(1), tree_id=0, giving={1: HandOver(9, slot)}, seen_s={1: 10.0})
     changed = give(state, now)
-    assert changed["own"] == robots(*own)
-    assert changed["giving"] == ({1: HandOver(9, 6)} if slot == 6 else {})
+    assert changed.own == robots(*own)
+    assert changed.giving == ({1: HandOver(9, 6)} if slot == 6 else {})
 
 
 @pytest.mark.parametrize(
@@ -165,10 +165,10 @@ def test_a_settled_robot_is_dropped_in_its_slot_and_not_before(slot, own):
         pytest.param({4: (1, NO_SLOT)}, {4: 0.5}, (), id="its own already"),
     ],
 )
-def test_a_unit_accepts_robots_handed_to_it_that_it_sees(handed, sees, accepted):
+def test_visible_handed_robots_are_accepted(handed, sees, accepted):
     now = situation(1, [report(0, 10.0, controls=handed, handed=handed)], sees=sees)
     changed = take(NodeState(own=robots(4), tree_id=0), now)
-    assert changed["accepted"] == robots(*accepted) and changed["own"] == robots(4)
+    assert changed.accepted == robots(*accepted) and changed.own == robots(4)
 
 
 @pytest.mark.parametrize(
@@ -180,109 +180,110 @@ def test_a_unit_accepts_robots_handed_to_it_that_it_sees(handed, sees, accepted)
         pytest.param(5, (5,), (), {}, id="a third unit has it"),
     ],
 )
-def test_a_settled_robot_is_taken_in_its_slot(slot, third, own, taking):
-    """Also if it is out of view by then: the unit that had it does not wait."""
+def test_settled_robot_is_taken_in_its_slot(slot, third, own, taking):
+    """This holds even if it is out of view by then: the former unit does not wait."""
     reports = [report(0, 9.9, controls=[5], handed={5: (1, slot)}), report(2, 9.9, controls=third)]
     changed = take(NodeState(tree_id=0), situation(1, reports))
-    assert changed["own"] == robots(*own) and changed["taking"] == taking
+    assert changed.own == robots(*own) and changed.taking == taking
 
 
-def test_a_robot_that_was_taken_and_given_away_again_is_not_taken_by_an_old_report():
-    """The newest report of unit 0 is the one by which robot 5 was taken; nothing has come since."""
+def test_stale_report_does_not_repeat_hand_over():
+    """The newest report of unit 0 is the one by which robot 5 was taken."""
     now = situation(1, [report(0, 9.9, controls=[5], handed={5: (1, 5)})])
     changed = take(NodeState(tree_id=0, accepted=robots(5)), replace(now, news=()))
-    assert changed["own"] == robots() and not changed["taking"]
+    assert changed.own == robots() and not changed.taking
 
 
-def test_what_nobody_hands_over_any_more_is_not_accepted():
+def test_withdrawn_hand_over_is_not_accepted():
     now = situation(1, [report(0, 10.0, controls=[5])], sees={5: 0.5})
-    assert take(NodeState(tree_id=0, accepted=robots(5)), now)["accepted"] == robots()
+    assert take(NodeState(tree_id=0, accepted=robots(5)), now).accepted == robots()
 
 
-def test_a_unit_that_leaves_the_tree_keeps_nothing_of_what_it_was_to_give_or_take():
-    """A lower tree is heard of; none of the robots that were agreed on is the unit's in the new one."""
+def test_unit_leaving_tree_clears_hand_overs():
+    """A lower tree exists; none of the agreed robots is the unit's in the new one."""
     state = out_of_view(1, giving={1: HandOver(9, 6)}, taking={2: (9, 6)}, accepted=robots(3))
-    state = replace(replace(state, tree_id=4), **leave_for_lower_tree(state, situation(5, [])))
-    state = replace(state, **leave_for_lower_tree(replace(state, tree_id=4), situation(5, [report(0, 10.0)])))
+    state = leave_for_lower_tree(replace(state, tree_id=4), situation(5, []))
+    assert state.is_member and state.giving
+    state = leave_for_lower_tree(state, situation(5, [report(0, 10.0)]))
     assert not state.is_member and not (state.own or state.giving or state.taking or state.accepted)
 
 
 @pytest.mark.parametrize(("unit", "adopts"), [(0, True), (2, False)])
-def test_of_two_units_that_see_an_orphan_equally_near_the_lower_adopts_it(unit, adopts):
+def test_orphan_at_equal_distance_goes_to_lower_unit(unit, adopts):
     now = situation(unit, [report(1, 10.0, sees={5: 0.25})], sees={5: 0.25})
     state = NodeState(tree_id=0, orphaned_s={5: 0.0}, distances_before=dict(now.peers.newest[1].distances))
-    assert (5 in adopt_orphans(state, now)["own"]) == adopts
+    assert (5 in adopt_orphans(state, now).own) == adopts
 
 
-def test_the_nearer_of_two_units_adopts_whatever_its_number():
+def test_orphan_goes_to_nearer_unit():
     for unit in (0, 2):
         now = situation(unit, [report(1, 10.0, sees={5: 0.25})], sees={5: 0.2})
         near = NodeState(tree_id=0, orphaned_s={5: 0.0}, distances_before={5: 0.2})
         far = NodeState(tree_id=0, orphaned_s={5: 0.0}, distances_before={5: 0.3})
-        assert 5 in adopt_orphans(near, now)["own"] and 5 not in adopt_orphans(far, now)["own"]
+        assert 5 in adopt_orphans(near, now).own and 5 not in adopt_orphans(far, now).own
 
 
-def test_an_heir_takes_over_what_no_living_unit_claims():
+def test_heir_inherits_unclaimed_robots():
     """Unit 1 is dead, unit 0 its heir; robot 4 was its as well, but unit 2 has it by now."""
     gone = report(1, 0.0, controls=[1, 2, 3, 4], edges=[(0, 4, [1, 2])], heir=0)
     now = situation(0, [gone, report(2, 10.0, controls=[4])])
     state = NodeState(own=robots(6), edges={1: Edge(0, 1, 0.0, turn=4, pair=robots(1, 2))}, tree_id=0)
     changed = fail_over(state, now)
-    assert changed["own"] == robots(1, 2, 3, 6) and not changed["edges"]
+    assert changed.own == robots(1, 2, 3, 6) and not changed.edges
 
 
-def test_an_heir_opens_the_edges_of_the_dead_to_the_living():
+def test_heir_opens_edges_of_dead_unit_to_living_units():
     gone = report(
         1, 0.0, controls=[1, 2, 3, 4], edges=[(0, 4, [1, 2]), (2, 8, [3, 4]), (3, 8, [5, 6])], heir=0
     )
     now = situation(0, [gone, report(2, 10.0, controls=[3, 4])])
     state = NodeState(edges={1: Edge(0, 1, 0.0, turn=4, pair=robots(1, 2))}, tree_id=0)
-    edges = fail_over(state, now)["edges"]
+    edges = fail_over(state, now).edges
     assert edges.keys() == {2} and edges[2].pair == robots(3, 4)
 
 
 @pytest.mark.parametrize(("since_s", "stays"), [(9.5, True), (0.0, False)])
-def test_a_new_edge_has_a_silence_to_be_answered(since_s, stays):
-    """The neighbour was heard long ago; an edge that is younger than a silence says nothing against it."""
+def test_new_edge_survives_one_silence_timeout(since_s, stays):
+    """A stale report of the neighbour is no evidence against an edge younger than a silence timeout."""
     old = report(1, 0.0, controls=[1, 2], edges=[(0, 4, [1, 2])], heir=0)
     state = NodeState(edges={1: Edge(0, 1, since_s, turn=4, pair=robots(1, 2))}, tree_id=0)
-    assert (1 in fail_over(state, situation(0, [old]))["edges"]) == stays
+    assert (1 in fail_over(state, situation(0, [old])).edges) == stays
 
 
 @pytest.mark.parametrize(("own", "granted"), [((1,), False), ((1, 2), True)])
-def test_an_edge_is_granted_with_two_robots_or_not_at_all(own, granted):
+def test_edge_is_granted_only_with_two_robots(own, granted):
     asks = report(5, 10.0, sees={1: 0.1, 2: 0.1}, tree_id=NO_ID, asks=0)
     state = NodeState(own=robots(*own), tree_id=0)
     now = replace(situation(0, [asks], sees={1: 0.1, 2: 0.1}), slot=0)
-    assert (5 in admit(state, now)["edges"]) == granted
+    assert (5 in admit(state, now).edges) == granted
 
 
-def test_a_unit_does_not_take_its_own_robots_into_a_pair():
-    """Robot 3 is offered by unit 1 and claimed by unit 0 at once, as two units may adopt it at the same time.
+def test_own_robots_do_not_enter_pair():
+    """Robot 3 is offered by unit 1 and claimed by unit 0, since two units may adopt it at the same time.
 
-    Taken into the pair it would be shared, and yet unit 0's own: its edge to a third unit could have it too.
+    In the pair it would be shared and still unit 0's own: its edge to a third unit could contain it too.
     """
     sees = {1: 0.5, 2: 0.6, 3: 0.01, 4: 0.05}
     peer = report(1, 10.0, controls=[1, 2, 3, 4], sees=sees, edges=[(0, 4, [1, 2])])
     edge = Edge(0, 1, 0.0, turn=4, pair=robots(1, 2), reach=robots(3, 4))
     for own, pair in ((robots(3), robots(1, 4)), (robots(), robots(3, 4))):
         state = NodeState(own=own, edges={1: edge}, tree_id=0)
-        assert use_turns(state, situation(0, [peer], sees=sees))["edges"][1].pair == pair
+        assert use_turns(state, situation(0, [peer], sees=sees)).edges[1].pair == pair
 
 
-def test_a_unit_with_nothing_to_change_hands_its_turn_over_at_once():
-    """Between two slots, the pair it shares being the best there is; another one in reach makes it wait."""
+def test_unit_without_change_hands_turn_over_at_once():
+    """Between two slots, with the best pair already shared; another one in reach makes it wait."""
     for reach, turn in ((robots(), 5), (robots(3, 4), 4)):
         sees = {1: 0.1, 2: 0.2, 3: 0.01, 4: 0.05}
         peer = report(1, 10.0, controls=[1, 2, *reach], sees=sees, edges=[(0, 4, [1, 2])])
         edge = Edge(0, 1, 0.0, turn=4, pair=robots(1, 2), reach=reach)
-        plain = TreeRule(share="nearest", gain=1.0)
-        now = replace(situation(0, [peer], sees=sees), at_slot=False, rule=plain)
-        changed = use_turns(NodeState(edges={1: edge}, tree_id=0), now)["edges"][1]
+        plain = TreeSettings(share="nearest", gain=1.0)
+        now = replace(situation(0, [peer], sees=sees), at_slot=False, settings=plain)
+        changed = use_turns(NodeState(edges={1: edge}, tree_id=0), now).edges[1]
         assert (changed.turn, changed.pair, changed.wants) == (turn, robots(1, 2), turn == 4)
 
 
-def test_a_report_that_comes_twice_or_late_is_no_news():
+def test_repeated_and_late_reports_are_no_news():
     peers = PeerReports()
     first, second = report(1, 9.0, controls=[1]), report(1, 10.0, controls=[2])
     assert [peer.report for peer in peers.take([first, second])] == [first, second]
@@ -294,62 +295,65 @@ def test_a_report_that_comes_twice_or_late_is_no_news():
 
 
 @pytest.mark.parametrize(("tree_id", "leaves"), [(NO_ID, False), (2, True), (3, False), (4, False)])
-def test_of_two_trees_the_one_with_the_lower_number_stays(tree_id, leaves):
+def test_tree_with_lower_number_remains(tree_id, leaves):
     now = situation(5, [report(1, 10.0, tree_id=tree_id)])
-    assert bool(leave_for_lower_tree(NodeState(tree_id=3), now)) == leaves
+    state = NodeState(tree_id=3)
+    assert (leave_for_lower_tree(state, now) != state) == leaves
 
 
 @pytest.mark.parametrize("since_s", [3.0, 10.0 - RULE.silence_s, 10.0 - RULE.silence_s + 0.1, 10.0])
-def test_the_smaller_part_of_a_tree_is_left_after_a_silence_and_no_sooner(since_s):
-    """Units 0 and 1 name an edge between them; unit 5 has none. At a silence to the second it leaves."""
+def test_smaller_part_of_tree_resigns_after_silence_timeout(since_s):
+    """Units 0 and 1 report an edge between them; unit 5 has none. It resigns exactly at the timeout."""
     others = [report(0, 10.0, edges=[(1, 4, [1, 2])]), report(1, 10.0, edges=[(0, 4, [1, 2])])]
-    changed = heal_partition(NodeState(tree_id=0, minority_s=since_s), situation(5, others))
+    state = NodeState(tree_id=0, minority_s=since_s)
+    changed = heal_partition(state, situation(5, others))
     if 10.0 - since_s >= RULE.silence_s:
-        assert changed["tree_id"] == NO_ID and changed["minority_s"] == np.inf
+        assert changed.tree_id == NO_ID and changed.minority_s == np.inf
     else:
-        assert changed == {"minority_s": since_s}
+        assert changed == state
 
 
-def test_the_larger_part_stays_and_of_equal_ones_that_with_the_lowest_unit():
+def test_larger_part_of_tree_remains_with_ties_to_lowest_unit():
     alone = NodeState(tree_id=0, minority_s=0.0)
     for unit, stays in ((5, False), (0, True)):
         now = situation(unit, [report(3, 10.0)])
-        assert ("tree_id" not in heal_partition(alone, now)) == stays
+        assert heal_partition(alone, now).is_member == stays
     now = situation(5, [report(0, 10.0), report(6, 10.0, edges=[(5, 4, [1, 2])])])
     paired = replace(alone, edges={6: Edge(5, 6, 0.0, turn=4, pair=robots(1, 2))})
-    assert heal_partition(paired, now) == {"minority_s": np.inf}
+    assert heal_partition(paired, now) == replace(paired, minority_s=np.inf)
 
 
-def test_how_long_a_robot_has_not_been_seen():
-    """Since it was seen last; if it never was, since it was first missed; else not at all."""
+def test_unseen_time_of_robot():
+    """The time counts from the last sighting; if never seen, from the first miss; otherwise it is zero."""
     state = NodeState(seen_s={1: 4.0}, missed_since_s={1: 1.0, 2: 7.0})
     assert [state.unseen_s(robot, 10.0) for robot in (1, 2, 3)] == [6.0, 3.0, 0.0]
 
 
-def test_a_state_in_which_nothing_changed_is_the_very_same_and_any_other_is_a_new_one():
-    """What was computed of the old state, such as the robots controlled, is not taken over by the new one."""
+def test_unchanged_state_is_identical_object():
+    """Cached values of the old state, such as the controlled robots, are not copied to a changed one."""
     edge = Edge(1, 2, 0.0, pair=robots(4, 5))
     state = NodeState(own=robots(1), edges={2: edge}, held_s={1: 3.0})
     assert state.controlled == robots(1, 4, 5)
-    assert state.after({}) is state
-    assert state.after({"own": robots(1), "edges": {2: replace(edge)}, "minority_s": np.inf}) is state
+    assert state.after(state) is state
+    assert state.after(replace(state, own=robots(1), edges={2: replace(edge)}, minority_s=np.inf)) is state
     for changes in ({"edges": {}}, {"own": robots(1, 2)}, {"held_s": {1: 4.0}}, {"ready": True}):
-        assert state.after({"slot": -1, **changes}) == replace(state, **changes) != state
-    assert state.after({"edges": {}}).controlled == robots(1)
+        new = replace(state, slot=-1, **changes)
+        assert state.after(new) == new != state
+    assert state.after(replace(state, edges={})).controlled == robots(1)
 
 
-def test_what_is_controlled_or_claimed_is_no_orphan():
-    """Robots 1 and 2 are in a pair, 3 is the unit's own, 4 is another's: 5 alone is nobody's."""
+def test_controlled_or_claimed_robot_is_no_orphan():
+    """Robots 1 and 2 are in a pair, 3 is the unit's own, 4 is another's: only 5 is uncontrolled."""
     edge = Edge(0, 7, 0.0, turn=1, pair=robots(1, 2))
     sees = dict.fromkeys(range(1, 6), 0.2)
     waited = dict.fromkeys(range(1, 6), 0.0)
     state = NodeState(own=robots(3), edges={7: edge}, tree_id=0, orphaned_s=waited, distances_before=sees)
     changed = adopt_orphans(state, situation(0, [report(9, 10.0, controls=[4])], sees=sees))
-    assert changed["own"] == robots(3, 5) and changed["orphaned_s"].keys() == {5}
+    assert changed.own == robots(3, 5) and changed.orphaned_s.keys() == {5}
 
 
-def test_robots_that_two_neighbours_see_are_offered_to_them_two_by_two_slot_by_slot():
-    """In every second slot the other one's: robots 0 and 1 to unit 7 at even slots, 2 and 3 at odd ones."""
+def test_common_robots_are_offered_in_pairs_by_slot():
+    """Slots alternate: robots 0 and 1 to unit 7 at even slots, 2 and 3 at odd ones."""
     sees = dict.fromkeys(range(4), 0.2)
     edges = {unit: Edge(0, unit, 0.0, turn=1, pair=robots(unit, unit + 10)) for unit in (7, 8)}
     state = NodeState(own=robots(*sees), edges=edges, tree_id=0, seen_s=dict.fromkeys(sees, 10.0))
@@ -362,48 +366,48 @@ def test_robots_that_two_neighbours_see_are_offered_to_them_two_by_two_slot_by_s
 @pytest.mark.parametrize(
     ("pair", "heard", "heir"), [((1, 2), True, 7), ((), True, NO_ID), ((1, 2), False, NO_ID)]
 )
-def test_an_heir_has_a_pair_and_was_heard(pair, heard, heir):
+def test_heir_needs_pair_and_report(pair, heard, heir):
     state = NodeState(edges={7: Edge(0, 7, 0.0, turn=1, pair=robots(*pair))}, tree_id=0)
     now = situation(0, [report(7, 10.0, controls=[1, 2])] if heard else [])
-    assert name_heir(state, now)["heir_id"] == heir
+    assert name_heir(state, now).heir_id == heir
 
 
-def test_rules_that_are_told_nothing_are_those_of_scenarios_that_say_nothing():
-    """Lengths, times and shares have their defaults in two places, which must not part."""
+def test_settings_defaults_equal_scenario_defaults():
+    """Lengths, times and shares have their defaults in two places, which must be equal."""
     tree, roles, bodies = SelectionModel(), RolesModel(), AvoidanceModel()
-    for rule, model in ((TreeRule(), tree), (RoleRule(), roles), (BodyRule(1.0), bodies)):
+    for rule, model in ((TreeSettings(), tree), (RoleRule(), roles), (BodyRule(1.0), bodies)):
         both = vars(rule).keys() & type(model).model_fields.keys() - {"classes"}
         assert len(both) >= 2
         assert {name: getattr(rule, name) for name in both} == {name: getattr(model, name) for name in both}
 
 
 @pytest.mark.parametrize(("free", "released"), [((5, 6), robots(2)), ((5,), robots())])
-def test_a_robot_that_leaves_the_view_is_released_if_there_are_two_to_take_in_return(free, released):
-    """Leaving begins at the radius and its hysteresis, 0.85 * 1.06 = 0.901: robot 1 is this side of it."""
+def test_leaving_robot_is_released_if_two_can_return(free, released):
+    """Leaving begins at the radius with its hysteresis, 0.85 * 1.06 = 0.901: robot 1 is below it."""
     peer = report(1, 10.0, controls=free, sees=dict.fromkeys((1, 2, 5, 6), 0.1))
     now = situation(0, [peer], sees={1: 0.89, 2: 0.91, 5: 0.5, 6: 0.5})
     edge = Edge(0, 1, 0.0, turn=4, pair=robots(3, 4))
     assert _to_release(now, edge, robots(1, 2)) == released
 
 
-def test_to_bind_a_weak_edge_a_unit_seeks_robots_that_its_neighbour_shares_with_nobody():
+def test_weak_edge_makes_unit_seek_unshared_robots():
     """Of its neighbour's robots 2 to 7 it has 2 and 3; 4 and 5 are in another pair of the neighbour."""
     peer = report(1, 10.0, controls=range(2, 8), edges=[(0, 4, [2, 3]), (9, 4, [4, 5])])
-    rule = TreeRule(share="leverage", firm=1e6, gain=1.0)
-    now = replace(situation(0, [peer]), rule=rule)
+    rule = TreeSettings(share="leverage", firm=1e6, gain=1.0)
+    now = replace(situation(0, [peer]), settings=rule)
     edge = Edge(0, 1, 0.0, turn=4, pair=robots(2, 3))
-    sought = seek_robots(NodeState(own=robots(0, 1), edges={1: edge}, tree_id=0), now)["sought"]
+    sought = seek_robots(NodeState(own=robots(0, 1), edges={1: edge}, tree_id=0), now).sought
     assert sought & robots(6, 7) and sought <= robots(2, 3, 6, 7)
 
 
 @pytest.mark.parametrize(("since_s", "stays"), [(9.5, True), (0.0, False)])
-def test_an_edge_whose_other_end_was_never_heard_is_given_up_after_a_silence(since_s, stays):
+def test_edge_to_silent_neighbor_is_removed_after_timeout(since_s, stays):
     state = NodeState(edges={1: Edge(0, 1, since_s, turn=4, pair=robots(1, 2))}, tree_id=0)
-    assert (1 in fail_over(state, situation(0, []))["edges"]) == stays
+    assert (1 in fail_over(state, situation(0, [])).edges) == stays
 
 
-def test_the_successor_of_a_unit_that_died_with_its_heir_is_its_lowest_living_neighbor() -> None:
-    """Units 2 and its heir 1 fell silent at one time; 2 had pairs with 1, 3 and 5. The living name unit 3."""
+def test_successor_without_heir_is_lowest_living_neighbor() -> None:
+    """Unit 2 and its heir 1 fell silent at one time; 2 had pairs with 1, 3 and 5. Unit 3 succeeds."""
     gone = report(
         2, 6.9, controls=[0, 1, 2, 3, 4, 5], heir=1, edges=[(1, 4, (0, 1)), (3, 5, (2, 3)), (5, 5, (4, 5))]
     )
@@ -414,11 +418,11 @@ def test_the_successor_of_a_unit_that_died_with_its_heir_is_its_lowest_living_ne
     alive = situation(5, [gone, replace(heir, time_s=9.0), report(3, 9.8)])
     assert successor_of(alive.peers.newest[2], alive) == 1, "the heir, if it lives"
     alone = situation(5, [gone, heir, report(3, 7.0)])
-    assert successor_of(alone.peers.newest[2], alone) == 5, "whoever is left"
+    assert successor_of(alone.peers.newest[2], alone) == 5, "the surviving unit"
 
 
-def test_two_ends_that_both_wait_for_the_first_turn_begin_with_the_lower_one() -> None:
-    """Units 1 and 4 both took themselves for the successor of a unit between them, with other pairs."""
+def test_two_waiting_ends_start_with_lower_unit() -> None:
+    """Units 1 and 4 both considered themselves the successor of a unit between them, with different pairs."""
     ends = {
         unit: NodeState(
             tree_id=0, own=frozenset(own), edges={other: Edge(unit, other, 9.0, pair=frozenset(pair))}
@@ -429,32 +433,30 @@ def test_two_ends_that_both_wait_for_the_first_turn_begin_with_the_lower_one() -
         unit: report(unit, 9.9, controls=sorted(ends[unit].controlled), edges=[(other, NO_TURN, pair)])
         for unit, other, pair in ((1, 4, (2, 3)), (4, 1, (5, 6)))
     }
-    lower = replace(ends[1], **receive_turns(ends[1], situation(1, [news[4]])))
-    higher = replace(ends[4], **receive_turns(ends[4], situation(4, [news[1]])))
+    lower = receive_turns(ends[1], situation(1, [news[4]]))
+    higher = receive_turns(ends[4], situation(4, [news[1]]))
     assert lower.edges[4].is_my_turn and lower.edges[4].pair == {2, 3}
     assert higher.edges[1].turn == NO_TURN, "the higher one waits"
     told = report(1, 10.1, controls=[0, 2, 3], edges=[(4, lower.edges[4].turn + 1, (2, 3))])
-    higher = replace(higher, **receive_turns(higher, situation(4, [told], time_s=10.2)))
+    higher = receive_turns(higher, situation(4, [told], time_s=10.2))
     assert higher.edges[1].pair == {2, 3} and higher.own == {5, 6, 7}
     assert higher.controlled & lower.controlled == {2, 3}
     unheard = report(4, 9.9, controls=[5], edges=[(1, 8, (2, 3))])
-    assert receive_turns(ends[1], situation(1, [unheard]))["edges"][4].turn == 8, (
-        "a turn that is told is taken"
-    )
+    assert receive_turns(ends[1], situation(1, [unheard])).edges[4].turn == 8, "a turn that is told is taken"
 
 
 @pytest.mark.parametrize(
     ("ready", "living", "sought"), [(True, 9.5, {7}), (True, 6.0, {6, 7}), (False, 9.5, set())]
 )
-def test_robots_that_no_living_member_controls_are_looked_for(ready, living, sought):
-    """Robots 0 to 5 are the unit's, 6 another's, who may have fallen silent, and 7 nobody's."""
+def test_uncontrolled_robots_are_sought(ready, living, sought):
+    """Robots 0 to 5 are the unit's, 6 another's, which may be silent, and 7 is uncontrolled."""
     state = NodeState(own=robots(0, 1, 2, 3, 4, 5), tree_id=0, ready=ready)
     now = situation(0, [report(1, living, controls=[6])])
-    assert seek_robots(state, now)["sought"] == sought
+    assert seek_robots(state, now).sought == sought
 
 
 @pytest.mark.parametrize(("imaged_s", "since_s"), [(9.8, 1.0), (7.1, 1.0), (6.9, 10.0), (-np.inf, 10.0)])
-def test_after_a_silence_without_images_or_a_clock_that_was_set_a_unit_looks_around_anew(imaged_s, since_s):
-    """It counts its time from the image at 10 s if the one before is more than a silence (3 s) ago."""
+def test_unit_searches_again_after_silence_or_clock_change(imaged_s, since_s):
+    """Its time counts from the image at 10 s if the one before is more than a silence timeout (3 s) ago."""
     noted = note_view(NodeState(imaged_s=imaged_s, since_s=1.0), situation(0, []))
-    assert (noted["since_s"], noted["imaged_s"]) == (since_s, 10.0)
+    assert (noted.since_s, noted.imaged_s) == (since_s, 10.0)

@@ -13,7 +13,7 @@ from skyherd.control import (
     RoleRule,
     SafetyRadius,
     SizeRule,
-    TreeRule,
+    TreeSettings,
 )
 from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
 from skyherd.datasets.configuration.models import ControlModel, SelectionModel
@@ -21,7 +21,7 @@ from skyherd.datasets.configuration.unit_models import FlightModel
 
 PAIRS = [
     (SafetyRadius, SelectionModel, {}),
-    (TreeRule, SelectionModel, {}),
+    (TreeSettings, SelectionModel, {}),
     (Follow, FlightModel, {}),
     (Perimeter, FlightModel, {}),
     (KeepInView, FlightModel, {}),

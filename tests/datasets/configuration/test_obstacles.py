@@ -84,7 +84,7 @@ BAD = {
     "no_radius": (
         [{"id": 30, "position_m": [0, 0], "radius_sides": 0}],
         {},
-        ["radius_sides", "equal to"],
+        ["obstacles.0.radius_sides: 0; a finite number from"],
     ),
 }
 

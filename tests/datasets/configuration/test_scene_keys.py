@@ -6,7 +6,7 @@ import pytest
 
 from skyherd.datasets import load_mission
 from skyherd.loop import run_steps
-from skyherd.render import Camera, CameraPose, Motion
+from skyherd.render import Camera, CameraPose, Motion, Shot
 from skyherd.sim.perception import make_renderer
 
 CAMERA, POSE = Camera((320, 240), 300.0), CameraPose((1.0, 0.5), 12.0, 0.2)
@@ -37,7 +37,7 @@ EACH = {
 def image(settings: list[str]) -> np.ndarray:
     mission = load_mission("star", settings)
     renderer = make_renderer(mission, np.random.default_rng(1))
-    return renderer.render(CAMERA, POSE, *TEAM, motion=MOTION).astype(float)
+    return renderer.render(Shot(CAMERA, POSE, *TEAM, motion=MOTION)).astype(float)
 
 
 @pytest.fixture(scope="module")

@@ -124,6 +124,10 @@ def _cut_coco(folder):
     file.write_text(file.read_text()[:200])
 
 
+def _deep_coco(folder):
+    (folder / "annotations/train.json").write_text("[" * 100_000)
+
+
 def _moved_truth(folder):
     """In the table alone: layouts and seed both tell."""
     file = folder / "truth.csv"
@@ -195,7 +199,7 @@ def _no_table(folder):
 
 DAMAGES = {
     _painted_over: (IMAGE, "its pixels around"),
-    _added_image: ("holiday.png", "is no file of the set"),
+    _added_image: ("holiday.png", "is not a file of the set"),
     _nan_in_images: ("images.csv", "focal_u_px is nan"),
     _another_camera: ("images.csv", "height_sides is not as its seed gives it"),
     _long_row: ("images.csv", "longer or shorter"),
@@ -215,6 +219,7 @@ DAMAGES = {
     _garbled_coco: ("train.json", "images has 1 entries instead of 3"),
     _other_text_coco: ("train.json", "the right content, but not the text"),
     _cut_coco: ("train.json", "cut short"),
+    _deep_coco: ("train.json", "nested more than 64 deep"),
     _moved_truth: ("truth.csv", "not as its seed puts them"),
     _short_truth: ("truth.csv", "by its seed"),
     _no_number: ("truth.csv", "line 2: not all of its values are numbers"),
@@ -262,7 +267,10 @@ def test_a_folder_of_another_spec_is_refused(copy, tmp_path, capsys):
     )
     (tmp_path / "full").mkdir()
     (tmp_path / "full/thing").touch()
-    assert_refused(call(capsys, "dataset", "make", "small", "--out", tmp_path / "full"), "something else")
+    assert_refused(
+        call(capsys, "dataset", "make", "small", "--out", tmp_path / "full"),
+        "is not the folder of a data set",
+    )
     assert_refused(call(capsys, "dataset", "make", "small", "--out", tmp_path / "full/thing"), "is a file")
     assert [path.name for path in (tmp_path / "full").iterdir()] == ["thing"]
 
@@ -281,18 +289,18 @@ BAD = {
     "images = 3\nseed = -1": "seed",
     "images = 3\nsize_px = [640]": "size_px",
     "images = 3\nvalidation = 1": "validation",
-    "images = 3\nmarkers.count = [5, 2]": "least to greatest",
-    "images = 3\nmarkers.count = [5, 200]": "50 different markers",
-    "images = 3\nmarkers.count = 2.5": "markers.count",
-    "images = 3\nmarkers.ids = [1, 50]": "ids must be from 0 to 49",
+    "images = 3\nmarkers.count = [5, 2]": "[5, 2]; a range with the smaller number first",
+    "images = 3\nmarkers.count = [5, 200]": "at most 50, the number of markers",
+    "images = 3\nmarkers.count = 2.5": "markers.count: 2.5; a whole number from 0 to 1000",
+    "images = 3\nmarkers.ids = [1, 50]": "markers.ids: a repeated or unknown id; 0 to 49",
     "images = 3\nmarkers.dictionary = 'x'": "no dictionary 'x'",
     "images = 3\nmarkers.side_px = [20, 1000]": "fits",
-    "images = 3\nmarkers.white = 20": "black must be darker",
+    "images = 3\nmarkers.white = 20": "darker than white",
     "images = 3\ncamera.tilt_deg = 50": "at most 80",
     "images = 3\ncamera.distortion.k1 = -2": "folds the image",
     "images = 3\nsensor.noise = 'much'": "sensor.noise",
     "images = 3\nsensor.jpeg_quality = [0, 90]": "jpeg_quality",
-    "images = 3\nground.kinds = []": "at least one of kinds and images",
+    "images = 3\nground.kinds = []": "neither kinds nor images",
     "images = 3\nground.kinds = ['grass']": "ground.kinds",
     "images = 3\nground.images = ['none.png']": "none.png",
     "images = 3\noccluders.share = 2": "occluders.share",

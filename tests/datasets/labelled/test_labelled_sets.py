@@ -69,6 +69,7 @@ def test_resumed_equals_uninterrupted(made, tmp_path, jobs):
     assert {name: (tmp_path / name).stat().st_mtime_ns for name in pictures} == times
 
 
+@pytest.mark.smoke
 def test_an_image_does_not_depend_on_how_many_there_are():
     few, many = (make_scene(spec_of(images=images).spec, 3) for images in (4, 4000))
     np.testing.assert_array_equal(few.positions_m, many.positions_m)

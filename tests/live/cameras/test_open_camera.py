@@ -1,7 +1,7 @@
-"""Real sources: files, folders, streams on loopback, functions of one's own. All by `open_camera`.
+"""Real sources opened by `open_camera`: files, folders, streams on loopback, custom functions.
 
-V4L2 devices are read by the same code as streams (`skyherd.live.cameras.streams.Stream`), of which only the
-name of the format differs; there is none on the machines that run these tests.
+V4L2 devices use the same code as streams (`skyherd.live.cameras.streams.Stream`) with another format name.
+The machines that run these tests have no such device.
 """
 
 import io
@@ -27,14 +27,14 @@ SIZE = 128, 192
 """Height and width of the pictures, px."""
 
 BITS, BLOCK = 6, 32
-"""The number of a picture is drawn in so many blocks of so many pixels."""
+"""Blocks that encode the number of a picture, and their side, px."""
 
 WAIT_S = 30.0
-"""How long a test waits for what has to come, on however slow a machine."""
+"""Longest wait for an expected event, s. Chosen: enough for slow machines."""
 
 
 def drawn(number: int):
-    """A picture that shows a number in blocks, and survives compression."""
+    """Return a picture that encodes a number in blocks, robust to compression."""
     picture = np.full(SIZE, 60, np.uint8)
     for bit in range(BITS):
         row, column = divmod(bit, 3)
@@ -44,13 +44,13 @@ def drawn(number: int):
 
 
 def read(picture) -> int:
-    """The number that a picture shows."""
+    """Return the number encoded in a picture."""
     centers = [(16 + 56 * (bit // 3) + BLOCK // 2, 16 + 56 * (bit % 3) + BLOCK // 2) for bit in range(BITS)]
     return sum((picture[center] > 128) << bit for bit, center in enumerate(centers))
 
 
 def encode(target, form, numbers, *, rate_hz=10, wait=None) -> None:
-    """Write pictures as H.264 into a file or to an address; times are counted from 0."""
+    """Write pictures as H.264 into a file or to an address. Times count from 0."""
     with av.open(target, "w", format=form) as container:
         stream = container.add_stream("libx264", rate=rate_hz, options={"tune": "zerolatency", "g": "5"})
         stream.height, stream.width, stream.pix_fmt = *SIZE, "yuv420p"
@@ -72,7 +72,7 @@ def all_of(camera):
 
 
 def until(camera, condition):
-    """Frames until one fulfils a condition, which it is."""
+    """Return the first frame that meets a condition."""
     ends_s = time.monotonic() + WAIT_S
     while time.monotonic() < ends_s:
         frame = camera.newest(1.0)
@@ -94,110 +94,71 @@ def video(tmp_path_factory):
     return path
 
 
-def test_a_video_as_fast_as_its_pictures_are_taken(video) -> None:
-    with open_camera(str(video), pace="fast", clock=lambda: 50.0) as camera:
-        frames = all_of(camera)
-    assert [read(frame.image) for frame in frames] == list(range(12))
-    assert [frame.captured_s for frame in frames] == pytest.approx([50 + k / 10 for k in range(12)])
-    assert camera.dropped == 0 and {frame.stamped_by for frame in frames} == {"stream"}
+class TestRecordings:
+    def test_fast_video_drops_no_picture(self, video) -> None:
+        with open_camera(str(video), pace="fast", clock=lambda: 50.0) as camera:
+            frames = all_of(camera)
+        assert [read(frame.image) for frame in frames] == list(range(12))
+        assert [frame.captured_s for frame in frames] == pytest.approx([50 + k / 10 for k in range(12)])
+        assert camera.dropped == 0 and {frame.stamped_by for frame in frames} == {"stream"}
 
+    def test_video_at_own_pace_takes_its_duration(self, video) -> None:
+        began_s = time.monotonic()
+        with open_camera(str(video)) as camera:
+            frames = all_of(camera)
+        assert frames[-1].number == 11 and time.monotonic() - began_s >= 1.1
+        assert all(frame.arrived_s >= frame.captured_s for frame in frames)
 
-def test_a_video_at_its_own_pace(video) -> None:
-    began_s = time.monotonic()
-    with open_camera(str(video)) as camera:
-        frames = all_of(camera)
-    assert frames[-1].number == 11 and time.monotonic() - began_s >= 1.1
-    assert all(frame.arrived_s >= frame.captured_s for frame in frames)
+    @pytest.mark.parametrize("pace", ["own", "fast"])
+    def test_invalid_files_are_refused(self, tmp_path, pace) -> None:
+        os.mkfifo(tmp_path / "pipe.mp4")
+        (tmp_path / "text.mp4").write_text("no video")
+        for name, words in (
+            ("pipe.mp4", "is a pipe"),
+            ("text.mp4", "cannot be read"),
+            ("none.mp4", "no such file"),
+        ):
+            with pytest.raises(InputError, match=words):
+                open_camera(str(tmp_path / name), pace=pace)
 
+    def test_folder_is_read_by_name(self, tmp_path) -> None:
+        for number in (3, 1, 2):
+            Image.fromarray(drawn(number)).save(tmp_path / f"{number}.png")
+        with open_camera(str(tmp_path), pace="fast") as camera:
+            assert [read(frame.image) for frame in all_of(camera)] == [1, 2, 3]
+        (tmp_path / "empty").mkdir()
+        with pytest.raises(InputError, match="no picture in this folder"):
+            open_camera(str(tmp_path / "empty"), pace="fast")
 
-@pytest.mark.parametrize("pace", ["own", "fast"])
-def test_files_come_through_the_one_door(tmp_path, pace) -> None:
-    os.mkfifo(tmp_path / "pipe.mp4")
-    (tmp_path / "text.mp4").write_text("no video")
-    for name, words in (
-        ("pipe.mp4", "is a pipe"),
-        ("text.mp4", "cannot be read"),
-        ("none.mp4", "no such file"),
-    ):
-        with pytest.raises(InputError, match=words):
-            open_camera(str(tmp_path / name), pace=pace)
+    def test_growing_folder_yields_new_and_changed_pictures(self, tmp_path) -> None:
+        """The camera writes one file slowly, and overwrites another one."""
 
+        def write(name, number, *, kept=None):
+            data = io.BytesIO()
+            Image.fromarray(drawn(number)).save(data, format="PNG")
+            (tmp_path / name).write_bytes(data.getvalue()[:kept])
 
-def test_a_folder_of_pictures(tmp_path) -> None:
-    for number in (3, 1, 2):
-        Image.fromarray(drawn(number)).save(tmp_path / f"{number}.png")
-    with open_camera(str(tmp_path), pace="fast") as camera:
-        assert [read(frame.image) for frame in all_of(camera)] == [1, 2, 3]
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="no picture in this folder"):
-        open_camera(str(tmp_path / "empty"), pace="fast")
-
-
-def test_a_folder_that_grows(tmp_path) -> None:
-    """A camera that writes files, one of them slowly, and one by one name again and again."""
-
-    def write(name, number, *, kept=None):
-        data = io.BytesIO()
-        Image.fromarray(drawn(number)).save(data, format="PNG")
-        (tmp_path / name).write_bytes(data.getvalue()[:kept])
-
-    write("1.png", 1)
-    with open_camera(str(tmp_path)) as camera:
-        first = until(camera, lambda frame: True)
-        assert read(first.image) == 1 and first.stamped_by == "stream"
-        write("2.png", 2, kept=200)  # not yet whole: it must not stop anything
-        assert camera.newest(0.2) is None and camera.trouble is None
-        write("2.png", 2)
-        assert read(until(camera, lambda frame: True).image) == 2
-        for number in (3, 4):
-            write("newest.png", number)
-            assert read(until(camera, lambda frame: True).image) == number
-
-
-@pytest.mark.parametrize("scheme", ["udp", "tcp"])
-def test_a_stream_on_loopback_breaks_and_comes_back(scheme, monkeypatch) -> None:
-    """H.264 in MPEG-TS; the sender is replaced by another whose times begin again."""
-    monkeypatch.setattr("skyherd.live.cameras.streams.READ_S", 1.0)
-    port = free_port()
-    stop, moved = threading.Event(), threading.Event()
-
-    def send(first):
-        target = f"udp://127.0.0.1:{port}?pkt_size=1316" if scheme == "udp" else f"tcp://127.0.0.1:{port}"
-        numbers = iter(lambda: first, None)
-        while not moved.is_set() and not stop.is_set():
-            try:
-                encode(target, "mpegts", numbers, rate_hz=25, wait=lambda k: pace(stop, moved))
-            except (OSError, StopIteration):
-                stop.wait(0.05)
-
-    address = f"udp://127.0.0.1:{port}" if scheme == "udp" else f"tcp://127.0.0.1:{port}?listen=1"
-    sender = threading.Thread(target=send, args=(5,), daemon=True)
-    sender.start()
-    try:
-        with open_camera(address) as camera:
-            frame = until(camera, lambda frame: True)
-            assert read(frame.image) == 5 and frame.stamped_by == "stream"
-            assert frame.captured_s <= frame.arrived_s <= time.monotonic()
-            moved.set()
-            sender.join(WAIT_S)
-            moved.clear()
-            sender = threading.Thread(target=send, args=(9,), daemon=True)
-            sender.start()
-            later = until(camera, lambda frame: read(frame.image) == 9)
-            assert later.captured_s > frame.captured_s and camera.reconnects >= (scheme == "tcp")
-    finally:
-        stop.set()
-        sender.join(WAIT_S)
+        write("1.png", 1)
+        with open_camera(str(tmp_path)) as camera:
+            first = until(camera, lambda frame: True)
+            assert read(first.image) == 1 and first.stamped_by == "stream"
+            write("2.png", 2, kept=200)  # The incomplete file must not block the reader.
+            assert camera.newest(0.2) is None and camera.trouble is None
+            write("2.png", 2)
+            assert read(until(camera, lambda frame: True).image) == 2
+            for number in (3, 4):
+                write("newest.png", number)
+                assert read(until(camera, lambda frame: True).image) == number
 
 
 def pace(stop, moved) -> None:
-    """Wait for the next picture's turn; end the sender when it is to."""
+    """Wait until the next picture is due, or end the sender."""
     if stop.wait(0.04) or moved.is_set():
         raise StopIteration
 
 
 class Webcam(BaseHTTPRequestHandler):
-    """JPEG pictures in an endless answer, as cheap cameras serve them."""
+    """Server of JPEG pictures in an endless response, like many cheap cameras."""
 
     def do_GET(self):
         self.server.asked += 1
@@ -236,45 +197,7 @@ def webcam():
         server.shutdown()
 
 
-def test_jpeg_over_http_is_stamped_by_arrival(webcam) -> None:
-    with open_camera(f"http://127.0.0.1:{webcam.server_port}/video") as camera:
-        first = until(camera, lambda frame: True)
-        later = until(camera, lambda frame: read(frame.image) > read(first.image))
-    assert later.stamped_by == "arrival" and later.captured_s == later.arrived_s
-    assert later.image.shape == SIZE
-
-
-def test_passwords_are_used_and_not_told(webcam) -> None:
-    webcam.locked = True
-    address = f"127.0.0.1:{webcam.server_port}/video"
-    with open_camera(f"http://me:secret@{address}") as camera:
-        until(camera, lambda frame: True)
-        assert "secret" not in camera.name
-    with pytest.raises(InputError, match="401"):
-        open_camera(f"http://{address}")
-    with pytest.raises(InputError) as raised:
-        open_camera(f"rtsp://me:secret@127.0.0.1:{free_port()}/1")
-    assert "secret" not in str(raised.value) and "refused" in str(raised.value)
-
-
-def test_a_playlist_does_not_open_files(tmp_path, video) -> None:
-    class Playlist(BaseHTTPRequestHandler):
-        def do_GET(self):
-            self.send_response(200)
-            self.end_headers()
-            self.wfile.write(f"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:1,\nfile://{video}\n".encode())
-
-        def log_message(self, *_):
-            pass
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Playlist) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        with pytest.raises(InputError):
-            open_camera(f"http://127.0.0.1:{server.server_port}/list.m3u8")
-        server.shutdown()
-
-
-def test_pictures_of_a_function_of_one_s_own(tmp_path, monkeypatch) -> None:
+def test_custom_source_yields_pictures(tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "own_camera.py").write_text(
@@ -311,26 +234,96 @@ def test_pictures_of_a_function_of_one_s_own(tmp_path, monkeypatch) -> None:
         ("no_such_module:factory", "ModuleNotFoundError"),
     ],
 )
-def test_an_address_that_means_nothing_is_one_clear_line(address, words) -> None:
+def test_invalid_address_is_one_clear_line(address, words) -> None:
     with pytest.raises(InputError, match=words):
         open_camera(address)
     with pytest.raises(InputError, match="own or fast"):
         open_camera(address, pace="slow")
 
 
-def test_a_device_and_a_stream_are_read_by_the_same_code() -> None:
-    device = device_of("/dev/null?size=1280x720&rate=30&format=mjpeg")
-    assert device.form == V4L2 and type(device) is type(stream_of("rtsp://camera/1"))
-    assert device.options == {"video_size": "1280x720", "framerate": "30", "input_format": "mjpeg"}
-    assert V4L2 in av.formats_available
+class TestStreams:
+    @pytest.mark.parametrize("scheme", ["udp", "tcp"])
+    def test_broken_stream_is_reopened(self, scheme, monkeypatch) -> None:
+        """The stream is H.264 in MPEG-TS. A second sender with restarted times replaces the first one."""
+        monkeypatch.setattr("skyherd.live.cameras.streams.READ_S", 1.0)
+        port = free_port()
+        stop, moved = threading.Event(), threading.Event()
+
+        def send(first):
+            target = f"udp://127.0.0.1:{port}?pkt_size=1316" if scheme == "udp" else f"tcp://127.0.0.1:{port}"
+            numbers = iter(lambda: first, None)
+            while not moved.is_set() and not stop.is_set():
+                try:
+                    encode(target, "mpegts", numbers, rate_hz=25, wait=lambda k: pace(stop, moved))
+                except (OSError, StopIteration):
+                    stop.wait(0.05)
+
+        address = f"udp://127.0.0.1:{port}" if scheme == "udp" else f"tcp://127.0.0.1:{port}?listen=1"
+        sender = threading.Thread(target=send, args=(5,), daemon=True)
+        sender.start()
+        try:
+            with open_camera(address) as camera:
+                frame = until(camera, lambda frame: True)
+                assert read(frame.image) == 5 and frame.stamped_by == "stream"
+                assert frame.captured_s <= frame.arrived_s <= time.monotonic()
+                moved.set()
+                sender.join(WAIT_S)
+                moved.clear()
+                sender = threading.Thread(target=send, args=(9,), daemon=True)
+                sender.start()
+                later = until(camera, lambda frame: read(frame.image) == 9)
+                assert later.captured_s > frame.captured_s and camera.reconnects >= (scheme == "tcp")
+        finally:
+            stop.set()
+            sender.join(WAIT_S)
+
+    def test_jpeg_over_http_is_stamped_by_arrival(self, webcam) -> None:
+        with open_camera(f"http://127.0.0.1:{webcam.server_port}/video") as camera:
+            first = until(camera, lambda frame: True)
+            later = until(camera, lambda frame: read(frame.image) > read(first.image))
+        assert later.stamped_by == "arrival" and later.captured_s == later.arrived_s
+        assert later.image.shape == SIZE
+
+    def test_passwords_are_used_but_not_shown(self, webcam) -> None:
+        webcam.locked = True
+        address = f"127.0.0.1:{webcam.server_port}/video"
+        with open_camera(f"http://me:secret@{address}") as camera:
+            until(camera, lambda frame: True)
+            assert "secret" not in camera.name
+        with pytest.raises(InputError, match="401"):
+            open_camera(f"http://{address}")
+        with pytest.raises(InputError) as raised:
+            open_camera(f"rtsp://me:secret@127.0.0.1:{free_port()}/1")
+        assert "secret" not in str(raised.value) and "refused" in str(raised.value)
+
+    def test_playlist_does_not_open_files(self, tmp_path, video) -> None:
+        class Playlist(BaseHTTPRequestHandler):
+            def do_GET(self):
+                self.send_response(200)
+                self.end_headers()
+                self.wfile.write(f"#EXTM3U\n#EXT-X-TARGETDURATION:9\n#EXTINF:1,\nfile://{video}\n".encode())
+
+            def log_message(self, *_):
+                pass
+
+        with ThreadingHTTPServer(("127.0.0.1", 0), Playlist) as server:
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            with pytest.raises(InputError):
+                open_camera(f"http://127.0.0.1:{server.server_port}/list.m3u8")
+            server.shutdown()
+
+    def test_device_and_stream_share_one_class(self) -> None:
+        device = device_of("/dev/null?size=1280x720&rate=30&format=mjpeg")
+        assert device.form == V4L2 and type(device) is type(stream_of("rtsp://camera/1"))
+        assert device.options == {"video_size": "1280x720", "framerate": "30", "input_format": "mjpeg"}
+        assert V4L2 in av.formats_available
+
+    def test_udp_listens_only_on_the_local_address(self) -> None:
+        assert stream_of("udp://127.0.0.1:5000").options["localaddr"] == "127.0.0.1"
+        assert "localaddr" not in stream_of("udp://239.1.1.1:5000").options
 
 
-def test_only_this_machine_s_address_is_listened_on() -> None:
-    assert stream_of("udp://127.0.0.1:5000").options["localaddr"] == "127.0.0.1"
-    assert "localaddr" not in stream_of("udp://239.1.1.1:5000").options
-
-
-def test_a_mirrored_camera_is_told_by_its_markers() -> None:
+def test_mirrored_camera_is_reported() -> None:
     dictionary = load_dictionary("4X4_50")
     board = np.full((200, 400), 255, np.uint8)
     for k, marker in enumerate((1, 2, 3, 4)):
@@ -338,10 +331,10 @@ def test_a_mirrored_camera_is_told_by_its_markers() -> None:
     detector = create_detector("opencv")
     now_s = 0.0
     watch = MirrorWatch("4X4_50", lambda: now_s)
-    told = {}
+    advice = {}
     for name, picture in (("mirrored", np.ascontiguousarray(board[:, ::-1])), ("upright", board)):
         for _ in range(5):
             now_s += 1.0
             frame = type("F", (), {"image": picture})
-            told[name] = watch.look(frame, detector.detect(picture))
-    assert "the image is mirrored" in told["mirrored"] and told["upright"] is None
+            advice[name] = watch.look(frame, detector.detect(picture))
+    assert "the image is mirrored" in advice["mirrored"] and advice["upright"] is None

@@ -1,4 +1,4 @@
-"""Caps hold whatever comes in."""
+"""Limits of speed and acceleration, for any input."""
 
 import math
 from itertools import pairwise
@@ -21,10 +21,10 @@ sizes = st.floats(1e-3, 10)
 limits = st.builds(SpeedLimits, sizes, sizes, sizes, sizes)
 
 LONGEST_S = 0.2
-"""What a pause counts as at most; `skyherd.live.drivers.limits.MAX_STEP_S`, written out."""
+"""Expected value of `skyherd.live.drivers.limits.MAX_STEP_S`, s."""
 
 ROUNDING = 1 + 1e-12
-"""Room for the rounding of one sum and one product."""
+"""Tolerance for the rounding of one sum and one product."""
 
 
 def speeds(motion: Motion) -> tuple[float, ...]:
@@ -33,7 +33,7 @@ def speeds(motion: Motion) -> tuple[float, ...]:
 
 @settings(max_examples=60)
 @given(limits, steps)
-def test_speeds_and_their_growth_stay_within_the_limits(most, wanted) -> None:
+def test_speeds_and_growth_stay_within_limits(most, wanted) -> None:
     limiter = Limiter(most)
     written = [STILL, *(limiter.limit(motion, passed_s) for motion, passed_s in wanted)]
     caps = (most.speed_mps,) * 3 + (most.turn_radps,)
@@ -42,13 +42,13 @@ def test_speeds_and_their_growth_stay_within_the_limits(most, wanted) -> None:
         counted_s = min(passed_s, LONGEST_S) if passed_s > 0 else 0.0
         for old, new, cap, growth in zip(speeds(before), speeds(after), caps, growths, strict=True):
             assert isinstance(new, float) and math.isfinite(new) and abs(new) <= cap
-            kept = abs(old) if (old > 0) == (new > 0) else 0.0  # a product may be too small for a number
+            kept = abs(old) if (old > 0) == (new > 0) else 0.0  # A product may underflow.
             assert abs(new) <= (kept + growth * counted_s) * ROUNDING
 
 
 @settings(max_examples=40)
 @given(limits, motions)
-def test_what_is_no_number_stops_the_robot_at_once(most, motion) -> None:
+def test_non_finite_motion_stops_immediately(most, motion) -> None:
     limiter = Limiter(most)
     for _ in range(50):
         limiter.limit(Motion(1, 1, 1, 1), 0.1)
@@ -56,7 +56,7 @@ def test_what_is_no_number_stops_the_robot_at_once(most, motion) -> None:
     assert numbers or limiter.limit(motion, 0.1) == STILL
 
 
-def test_stopping_is_allowed_at_once_and_turning_back_begins_at_zero() -> None:
+def test_stopping_is_immediate_and_reversal_starts_at_zero() -> None:
     limiter = Limiter(SpeedLimits(speed_mps=1.0, acceleration_mps2=0.5))
     for _ in range(100):
         fast = limiter.limit(Motion(5.0, 0.0), 0.1)
@@ -67,6 +67,6 @@ def test_stopping_is_allowed_at_once_and_turning_back_begins_at_zero() -> None:
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf, None])
-def test_limits_are_numbers_above_zero(value) -> None:
+def test_limits_not_above_zero_are_refused(value) -> None:
     with pytest.raises(InputError, match=r"SpeedLimits\.turn_radps"):
         SpeedLimits(turn_radps=value)

@@ -1,4 +1,4 @@
-"""Motions over MQTT: what is published, and with a real broker where there is one."""
+"""Motions over MQTT: payloads, and delivery by a real broker if one is installed."""
 
 import json
 import queue
@@ -17,7 +17,7 @@ from skyherd.live.drivers.mqtt import Mqtt, payload_of
 BROKER = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
 
 
-def test_the_documented_payload() -> None:
+def test_payload_has_the_documented_format() -> None:
     assert payload_of(3, 17, Motion(0.125, -0.4)) == (
         b'{"robot": 3, "number": 17, "forward_mps": 0.125, "turn_radps": -0.4}'
     )
@@ -29,7 +29,7 @@ def test_the_documented_payload() -> None:
 
 @pytest.fixture
 def broker(tmp_path):
-    """Port of a broker on loopback, and its process."""
+    """Yield the port of a broker on loopback, and its process."""
     pytest.importorskip("paho.mqtt.client")
     if BROKER is None:
         pytest.skip("no mosquitto on this machine: apt-get install mosquitto")
@@ -55,7 +55,7 @@ def broker(tmp_path):
 
 
 def listener(port):
-    """A client that hears everything, and the queue of (topic, payload) that it fills."""
+    """Yield a client of all topics, and its queue of (topic, payload)."""
     import paho.mqtt.client as paho
 
     heard: queue.Queue = queue.Queue()
@@ -72,57 +72,55 @@ def listener(port):
     return client, heard
 
 
-def test_a_real_broker_passes_on_what_is_sent_and_zero_at_the_end(broker) -> None:
-    port, _ = broker
-    client, heard = listener(port)
-    with open_driver(f"mqtt://127.0.0.1:{port}", robot_id=3) as driver:
-        driver.send_motion(Motion(0.001, 0.01))
-        while (message := heard.get(timeout=20))[1]["forward_mps"] != 0.001:
-            pass
-        topic, payload, retained = message
-        assert topic == "skyherd/robots/3/cmd_vel" and payload["robot"] == 3 and not retained
-        assert payload["turn_radps"] == 0.01 and payload["number"] > 0
-    numbers, last = [], None
-    while last is None or last["forward_mps"] or len(numbers) < 3:
-        last = heard.get(timeout=20)[1]
-        numbers.append(last["number"])
-    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
-    client.disconnect()
-    client.loop_stop()
+class TestBroker:
+    def test_broker_delivers_motions_and_final_zero(self, broker) -> None:
+        port, _ = broker
+        client, heard = listener(port)
+        with open_driver(f"mqtt://127.0.0.1:{port}", robot_id=3) as driver:
+            driver.send_motion(Motion(0.001, 0.01))
+            while (message := heard.get(timeout=20))[1]["forward_mps"] != 0.001:
+                pass
+            topic, payload, retained = message
+            assert topic == "skyherd/robots/3/cmd_vel" and payload["robot"] == 3 and not retained
+            assert payload["turn_radps"] == 0.01 and payload["number"] > 0
+        numbers, last = [], None
+        while last is None or last["forward_mps"] or len(numbers) < 3:
+            last = heard.get(timeout=20)[1]
+            numbers.append(last["number"])
+        assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+        client.disconnect()
+        client.loop_stop()
 
+    def test_last_will_stops_the_robot(self, broker) -> None:
+        port, _ = broker
+        client, heard = listener(port)
+        link = Mqtt(f"mqtt://127.0.0.1:{port}/robots/seven", 7)
+        link.write(Motion(0.5, 0.5))
+        assert heard.get(timeout=20)[1]["forward_mps"] == 0.5
+        link._client._sock_close()  # The connection ends without a disconnect message, as after SIGKILL.
+        topic, payload, _ = heard.get(timeout=20)
+        assert topic == "robots/seven" and payload["forward_mps"] == payload["turn_radps"] == 0
+        assert payload["left_mps"] == payload["up_mps"] == 0, "the will of a unit that flies, too"
+        link._client.loop_stop()
+        client.disconnect()
+        client.loop_stop()
 
-def test_the_broker_stops_the_robot_when_the_driver_is_gone(broker) -> None:
-    port, _ = broker
-    client, heard = listener(port)
-    link = Mqtt(f"mqtt://127.0.0.1:{port}/robots/seven", 7)
-    link.write(Motion(0.5, 0.5))
-    assert heard.get(timeout=20)[1]["forward_mps"] == 0.5
-    link._client._sock_close()  # the connection is gone without a farewell, as when a process is killed
-    topic, payload, _ = heard.get(timeout=20)
-    assert topic == "robots/seven" and payload["forward_mps"] == payload["turn_radps"] == 0
-    assert payload["left_mps"] == payload["up_mps"] == 0, "the will of a unit that flies, too"
-    link._client.loop_stop()
-    client.disconnect()
-    client.loop_stop()
+    @pytest.mark.slow
+    def test_hanging_broker_gets_few_stale_commands(self, broker) -> None:
+        port, process = broker
+        link = Mqtt(f"mqtt://127.0.0.1:{port}", 0)
+        process.send_signal(signal.SIGSTOP)
+        taken = 0
+        with pytest.raises(OSError, match=r"accepts no data|no connection"):
+            for taken in range(200_000):  # noqa: B007
+                link.write(STILL)
+        assert taken < 100_000
+        process.send_signal(signal.SIGCONT)
+        link.close()
 
-
-@pytest.mark.slow
-def test_a_broker_that_hangs_gets_few_old_commands(broker) -> None:
-    port, process = broker
-    link = Mqtt(f"mqtt://127.0.0.1:{port}", 0)
-    process.send_signal(signal.SIGSTOP)
-    taken = 0
-    with pytest.raises(OSError, match=r"takes nothing|no connection"):
-        for taken in range(200_000):  # noqa: B007
-            link.write(STILL)
-    assert taken < 100_000
-    process.send_signal(signal.SIGCONT)
-    link.close()
-
-
-def test_a_broker_that_is_not_there(broker) -> None:
-    _, process = broker
-    process.terminate()
-    process.wait(20)
-    with pytest.raises(InputError, match="refused"):
-        Mqtt(f"mqtt://127.0.0.1:{broker[0]}", 0)
+    def test_absent_broker_is_refused(self, broker) -> None:
+        _, process = broker
+        process.terminate()
+        process.wait(20)
+        with pytest.raises(InputError, match="refused"):
+            Mqtt(f"mqtt://127.0.0.1:{broker[0]}", 0)

@@ -1,4 +1,4 @@
-"""Twists for ROS 2: bytes as `rosbags` reads them, keys and tokens as `rmw_zenoh_cpp` has them."""
+"""Twists for ROS 2: bytes against `rosbags`, keys and tokens against `rmw_zenoh_cpp`."""
 
 import socket
 import struct
@@ -18,7 +18,7 @@ STAMP_NS = 1_700_000_000_987_654_321
 
 @pytest.fixture(scope="module")
 def store():
-    """The message types of ROS 2 Jazzy, from an implementation that is not ours."""
+    """Return the message types of ROS 2 Jazzy from an independent implementation."""
     typesys = pytest.importorskip("rosbags.typesys")
     return typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
 
@@ -27,30 +27,7 @@ def velocities(message) -> list[float]:
     return [getattr(part, axis) for part in (message.linear, message.angular) for axis in "xyz"]
 
 
-def test_rosbags_reads_our_twist(store) -> None:
-    data = twist(MOTION)
-    message = store.deserialize_cdr(data, "geometry_msgs/msg/Twist")
-    assert velocities(message) == [0.125, 0.5, -2.0, 0.0, 0.0, -0.75]
-    assert bytes(store.serialize_cdr(message, "geometry_msgs/msg/Twist")) == data
-
-
-@pytest.mark.parametrize("length", range(9))
-def test_rosbags_reads_our_stamped_twist_however_it_is_padded(store, length) -> None:
-    frame = "base_link_"[:length]
-    data = twist_stamped(MOTION, STAMP_NS, frame)
-    message = store.deserialize_cdr(data, "geometry_msgs/msg/TwistStamped")
-    stamp = message.header.stamp
-    assert (stamp.sec, stamp.nanosec, message.header.frame_id) == (1_700_000_000, 987_654_321, frame)
-    assert velocities(message.twist) == [0.125, 0.5, -2.0, 0.0, 0.0, -0.75]
-    assert bytes(store.serialize_cdr(message, "geometry_msgs/msg/TwistStamped")) == data
-
-
-@pytest.mark.parametrize("kind", HASHES)
-def test_the_hashes_are_those_of_the_definitions(store, kind) -> None:
-    assert store.hash_rihs01(f"geometry_msgs/msg/{kind}") == HASHES[kind]
-
-
-def test_key_and_tokens_have_the_parts_that_ros_expects() -> None:
+def test_key_and_tokens_have_the_parts_of_rmw_zenoh() -> None:
     topic = topic_of("ros2://host:7447/robot3/cmd_vel?type=TwistStamped&domain=7&node=herder", 3)
     assert topic.key == f"7/robot3/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/{HASHES['TwistStamped']}"
     assert topic.node_token("c0ffee") == "@ros2_lv/7/c0ffee/0/0/NN/%/%/herder"
@@ -61,17 +38,8 @@ def test_key_and_tokens_have_the_parts_that_ros_expects() -> None:
     assert topic_of("ros2://host", 3) == Topic("cmd_vel", node="skyherd_robot_3")
 
 
-def test_the_attachment_is_zenoh_s_own_serialization() -> None:
-    ext = pytest.importorskip("zenoh.ext")
-    gid = bytes(range(16))
-    data = attachment(7, STAMP_NS, gid)
-    assert len(data) == 33
-    parts = [ext.z_serialize(ext.Int64(7)), ext.z_serialize(ext.Int64(STAMP_NS)), ext.z_serialize(gid)]
-    assert data == b"".join(bytes(part) for part in parts)
-
-
 def tokens(robot, count: int) -> set[str]:
-    """Kinds of the liveliness tokens that a node sees, once there are so many."""
+    """Wait for a number of liveliness tokens, and return their kinds."""
     for _ in range(1000):
         alive = [str(reply.ok.key_expr) for reply in robot.liveliness().get("@ros2_lv/0/**")]
         if len(alive) == count:
@@ -80,8 +48,8 @@ def tokens(robot, count: int) -> set[str]:
     return {token.split("/")[5] for token in alive}
 
 
-def test_a_robot_hears_twists_and_sees_who_sends_them() -> None:
-    """A router of Zenoh and a subscriber as a robot's node has it, all on loopback."""
+def test_subscriber_receives_twists_and_sees_node() -> None:
+    """A Zenoh router and a subscriber like that of a robot's node run on loopback."""
     zenoh = pytest.importorskip("zenoh")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -109,15 +77,44 @@ def test_a_robot_hears_twists_and_sees_who_sends_them() -> None:
         assert tokens(robot, 0) == set()
 
 
-def test_without_a_router_one_clear_line(monkeypatch) -> None:
+def test_absent_router_is_one_clear_line(monkeypatch) -> None:
     pytest.importorskip("zenoh")
     monkeypatch.setattr("skyherd.live.drivers.ros2.CONNECT_MS", 200)
     with pytest.raises(InputError, match="no router of Zenoh"):
         Ros2("ros2://127.0.0.1:1/cmd_vel", 0)
 
 
-def test_numbers_survive_to_the_last_bit(store) -> None:
-    values = np.random.default_rng(0).normal(size=(50, 4)) * 10.0 ** np.arange(-8, 8, 4)
-    for row in values.tolist():
-        message = store.deserialize_cdr(twist(Motion(*row)), "geometry_msgs/msg/Twist")
-        assert (message.linear.x, message.angular.z, message.linear.y, message.linear.z) == tuple(row)
+class TestSerialization:
+    def test_rosbags_reads_twist(self, store) -> None:
+        data = twist(MOTION)
+        message = store.deserialize_cdr(data, "geometry_msgs/msg/Twist")
+        assert velocities(message) == [0.125, 0.5, -2.0, 0.0, 0.0, -0.75]
+        assert bytes(store.serialize_cdr(message, "geometry_msgs/msg/Twist")) == data
+
+    @pytest.mark.parametrize("length", range(9))
+    def test_rosbags_reads_twist_stamped_with_any_padding(self, store, length) -> None:
+        frame = "base_link_"[:length]
+        data = twist_stamped(MOTION, STAMP_NS, frame)
+        message = store.deserialize_cdr(data, "geometry_msgs/msg/TwistStamped")
+        stamp = message.header.stamp
+        assert (stamp.sec, stamp.nanosec, message.header.frame_id) == (1_700_000_000, 987_654_321, frame)
+        assert velocities(message.twist) == [0.125, 0.5, -2.0, 0.0, 0.0, -0.75]
+        assert bytes(store.serialize_cdr(message, "geometry_msgs/msg/TwistStamped")) == data
+
+    @pytest.mark.parametrize("kind", HASHES)
+    def test_hashes_match_the_definitions(self, store, kind) -> None:
+        assert store.hash_rihs01(f"geometry_msgs/msg/{kind}") == HASHES[kind]
+
+    def test_attachment_matches_zenoh_serialization(self) -> None:
+        ext = pytest.importorskip("zenoh.ext")
+        gid = bytes(range(16))
+        data = attachment(7, STAMP_NS, gid)
+        assert len(data) == 33
+        parts = [ext.z_serialize(ext.Int64(7)), ext.z_serialize(ext.Int64(STAMP_NS)), ext.z_serialize(gid)]
+        assert data == b"".join(bytes(part) for part in parts)
+
+    def test_numbers_round_trip_exactly(self, store) -> None:
+        values = np.random.default_rng(0).normal(size=(50, 4)) * 10.0 ** np.arange(-8, 8, 4)
+        for row in values.tolist():
+            message = store.deserialize_cdr(twist(Motion(*row)), "geometry_msgs/msg/Twist")
+            assert (message.linear.x, message.angular.z, message.linear.y, message.linear.z) == tuple(row)

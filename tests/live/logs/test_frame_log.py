@@ -1,4 +1,4 @@
-"""Pictures of a unit's images for viewers: what is in them, how often there is one, and that nobody waits."""
+"""Previews of a unit's images: content, rate, and no blocking."""
 
 import base64
 import threading
@@ -25,7 +25,7 @@ def lab():
 
 @pytest.fixture(scope="module")
 def seen(lab):
-    """Four robots near their shape; another marker is there twice."""
+    """Return detections of four robots near their shape, and of another marker twice."""
     points = 320 + 240j + 60 * lab.template.points_px + np.array([3, -2j, 1 + 1j, 0])
     points = np.append(points, [50 + 50j, 600 + 50j])
     corners = np.array([-10 - 10j, 10 - 10j, 10 + 10j, -10 + 10j])
@@ -53,7 +53,7 @@ def decided(lab, seen):
 IMAGE = np.add.outer(np.arange(480) // 4, np.arange(640) // 8).astype(np.uint8)
 
 
-def test_a_page_has_the_image_the_markers_the_goals_and_the_places(seen, decided) -> None:
+def test_pages_have_image_markers_goals_and_poses(seen, decided) -> None:
     decision, view = decided
     made = {topic: plain(message) for topic, message in frame_log.pages(0, 320, IMAGE, seen, decision, view)}
     assert made.keys() == frame_log.TOPICS.keys()
@@ -78,7 +78,7 @@ def test_a_page_has_the_image_the_markers_the_goals_and_the_places(seen, decided
     np.testing.assert_allclose(starts, (seen.centers_px[rows] + 0.5) / 2)
 
 
-def test_places_on_the_ground_are_in_marker_sides(seen, decided) -> None:
+def test_poses_on_the_ground_are_in_marker_sides(seen, decided) -> None:
     decision, view = decided
     (poses,) = [m for topic, m in frame_log.pages(2, 640, IMAGE, seen, decision, view) if topic == "/poses"]
     places = {one["child_frame_id"]: one for one in poses["transforms"]}
@@ -87,17 +87,17 @@ def test_places_on_the_ground_are_in_marker_sides(seen, decided) -> None:
     x, y = (places["unit/2/robot/0"]["translation"][axis] for axis in "xy")
     u, v = seen.centers_px[1]
     assert (x, y) == pytest.approx(((u - 319.5) / 20, -(v - 239.5) / 20))
-    # Ahead is up in the image, a quarter of a turn counter-clockwise from x.
+    # Forward is up in the image, a quarter turn counter-clockwise from x.
     assert places["unit/2/robot/0"]["rotation"]["z"] == pytest.approx(np.sin(np.pi / 4))
 
 
-def test_an_image_that_was_not_decided_on_has_no_goals_and_no_places(seen) -> None:
+def test_image_without_decision_has_no_goals_and_poses(seen) -> None:
     made = dict(frame_log.pages(0, 640, IMAGE, seen, None, None))
     assert made.keys() == {"/image", "/overlay"} and not made["/overlay"]["circles"]
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (3, 641), (9000, 8), (2, 8192)])
-def test_images_of_any_size(seen, shape) -> None:
+def test_images_of_any_size_are_drawn(seen, shape) -> None:
     nothing = replace(
         seen,
         **{
@@ -110,7 +110,7 @@ def test_images_of_any_size(seen, shape) -> None:
 
 
 @pytest.mark.parametrize(("rate_hz", "pictures"), [(0.0, 0), (2.0, 10), (100.0, 50)])
-def test_there_are_so_many_pictures_a_second(seen, rate_hz, pictures) -> None:
+def test_preview_rate_is_limited(seen, rate_hz, pictures) -> None:
     made = []
     with frame_log.FrameLog(0, rate_hz, 64) as kept:
         for step in range(50):
@@ -121,7 +121,7 @@ def test_there_are_so_many_pictures_a_second(seen, rate_hz, pictures) -> None:
     assert made.count("/image") == pictures
 
 
-def test_nobody_waits_for_a_picture(seen, monkeypatch) -> None:
+def test_unfinished_preview_does_not_block(seen, monkeypatch) -> None:
     goes_on = threading.Event()
 
     def slow(*arguments):

@@ -1,4 +1,4 @@
-"""What a unit keeps of an image for people, against the mathematics of it."""
+"""Views of a unit's images, against their mathematical definition."""
 
 from dataclasses import replace
 
@@ -33,20 +33,20 @@ def seen(points, ids):
 
 
 def decision_on(lab, points, ids=None):
-    """What the lab's unit decides on robots that stand at image points; it takes pixels as they are."""
+    """Return the decision of the lab's unit on robots at image points, without rectification."""
     unit = lab.make_unit(0)
     unit._controller.rectifier = None
     return unit.see(seen(points, np.arange(len(points)) if ids is None else ids), 100.0).decision
 
 
-def test_a_shape_that_is_formed_has_no_error_and_its_goals_are_where_the_robots_are(lab) -> None:
+def test_formed_shape_has_zero_error_and_goals_at_robots(lab) -> None:
     points = 320 + 240j + 40 * np.exp(0.7j) * lab.template.points_px
     view = view_of(decision_on(lab, points), lab.template)
     assert view.shape_error < 1e-12 and view.robots == 5 and view.captured_s == 100.0
     np.testing.assert_allclose(view.goals_px, to_points(points)[view.ids], atol=1e-9)
 
 
-def test_the_error_and_the_goals_are_those_of_the_best_similarity(lab) -> None:
+def test_error_and_goals_match_the_best_similarity(lab) -> None:
     rng = np.random.default_rng(4)
     points = 320 + 240j + 40 * lab.template.points_px + rng.normal(size=5) + 5j * rng.normal(size=5)
     view = view_of(decision_on(lab, points), lab.template)
@@ -58,7 +58,7 @@ def test_the_error_and_the_goals_are_those_of_the_best_similarity(lab) -> None:
     np.testing.assert_allclose(to_complex(view.goals_px), fitted[view.ids], atol=1e-6)
 
 
-def test_robots_that_exchanged_their_places_are_held_against_these(lab) -> None:
+def test_exchanged_roles_change_the_shape(lab) -> None:
     roles = np.array([1, 0, 2, 4, 3])
     points = 320 + 240j + 40 * lab.template.points_px[roles]
     decision = decision_on(lab, points)
@@ -67,7 +67,7 @@ def test_robots_that_exchanged_their_places_are_held_against_these(lab) -> None:
     assert view_of(exchanged, lab.template).shape_error < 1e-12
 
 
-def test_two_robots_and_strangers_have_no_error(lab) -> None:
+def test_error_with_two_robots_is_nan(lab) -> None:
     points = 320 + 240j + 40 * lab.template.points_px[:4]
     view = view_of(decision_on(lab, points, np.array([0, 1, 30, 31])), lab.template)
     assert np.isnan(view.shape_error) and view.robots == 2

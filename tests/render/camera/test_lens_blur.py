@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skyherd.errors import InputError
-from skyherd.render import Camera, CameraPose, Ground, LensBlur, Renderer, Sensor
+from skyherd.render import Camera, CameraPose, Ground, LensBlur, Renderer, Sensor, Shot
 from skyherd.render.camera import lens_blur
 from skyherd.render.camera.camera import footprint_m, rotation_camera_world
 
@@ -18,7 +18,7 @@ def light(blur: LensBlur, pose: CameraPose = LEVEL, psf_px: float = 0.5, team=TE
     """Light of four markers on even ground, as floats."""
     ground, sensor = Ground(0, contrast=0.0), Sensor(0.0, np.random.default_rng(0))
     renderer = Renderer("4X4_50", 1.0, ground, sensor, psf_px=psf_px, lens_blur=blur)
-    return renderer.light(CAMERA, pose, *team).astype(float)
+    return renderer.light(Shot(CAMERA, pose, *team)).astype(float)
 
 
 def moments(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -41,7 +41,7 @@ def test_an_image_gets_the_moments_of_disc_and_coma(blur):
     one, dark = (TEAM[0][:1], np.array([[0.3, -0.2]]), TEAM[2][:1]), Ground(0, mean=0, contrast=0)
     sensor, grey = Sensor(0.0, np.random.default_rng(0)), {"black": 200.0, "white": 200.0}
     (sharp_mean, sharp), (mean, blurred) = (
-        moments(Renderer("4X4_50", 1.0, dark, sensor, **grey, lens_blur=b).light(CAMERA, LEVEL, *one))
+        moments(Renderer("4X4_50", 1.0, dark, sensor, **grey, lens_blur=b).light(Shot(CAMERA, LEVEL, *one)))
         for b in (LensBlur(), blur)
     )
     along = np.array([np.cos(blur.coma_rad), np.sin(blur.coma_rad)])
@@ -59,7 +59,7 @@ def test_a_disc_is_the_sharp_image_convolved_with_a_disc():
     radius, times = 2.0, 4
     fine = Camera((160 * times, 120 * times), 160.0 * times, aspect=1.05)
     ground, sensor = Ground(0, contrast=0.0), Sensor(0.0, np.random.default_rng(0))
-    sharp = Renderer("4X4_50", 1.0, ground, sensor, psf_px=0.5 * times).light(fine, LEVEL, *TEAM)
+    sharp = Renderer("4X4_50", 1.0, ground, sensor, psf_px=0.5 * times).light(Shot(fine, LEVEL, *TEAM))
     reach = int(radius * times) + 1
     steps = (np.arange((2 * reach + 1) * 16) + 0.5) / 16 - reach - 0.5
     inside = (steps[:, None] ** 2 + steps**2 < (radius * times) ** 2).astype(float)
@@ -139,7 +139,7 @@ def test_what_is_in_focus_is_sharp_and_what_is_not_is_a_disc():
         Renderer("4X4_50", 1.0, Ground(0, contrast=0.0), Sensor(0, np.random.default_rng(0)), lens_blur=b)
         for b in (LensBlur(aperture_m=aperture_m, focus_m=5.0), LensBlur(disc_px=2.0))
     ]
-    one, other = (renderer.light(square, LEVEL, *TEAM) for renderer in images)
+    one, other = (renderer.light(Shot(square, LEVEL, *TEAM)) for renderer in images)
     np.testing.assert_allclose(one, other, atol=1e-2)
 
 
@@ -163,5 +163,6 @@ def test_off_it_changes_no_bit():
         )
         for lens in ({}, {"lens_blur": LensBlur(coma_rad=1.0, focus_m=3.0)})
     )
-    np.testing.assert_array_equal(plain.render(CAMERA, TILTED, *TEAM), off.render(CAMERA, TILTED, *TEAM))
-    np.testing.assert_array_equal(plain.light(CAMERA, TILTED, *TEAM), off.light(CAMERA, TILTED, *TEAM))
+    shot = Shot(CAMERA, TILTED, *TEAM)
+    np.testing.assert_array_equal(plain.render(shot), off.render(shot))
+    np.testing.assert_array_equal(plain.light(shot), off.light(shot))

@@ -19,6 +19,7 @@ from skyherd.render import (
     Ground,
     Renderer,
     Sensor,
+    Shot,
     project,
     project_markers,
 )
@@ -87,13 +88,13 @@ def test_a_fisheyes_image_is_the_exact_one():
     exact = reference_light("4X4_50", ids, images, FISHEYE.size_px, psf_px=0.8, bend=bend)
     sensor = Sensor(0.0, np.random.default_rng(0))
     renderer = Renderer("4X4_50", 1.0, Ground(0, kind="plain"), sensor)
-    difference = renderer.light(FISHEYE, pose, ids, positions, headings) - exact
+    difference = renderer.light(Shot(FISHEYE, pose, ids, positions, headings)) - exact
     v, u = np.mgrid[: FISHEYE.size_px[1], : FISHEYE.size_px[0]]
     angle_deg = np.degrees(np.hypot(u - 406.0, v - 291.0) / FISHEYE.focal_px)
     assert np.abs(difference[angle_deg < 60]).max() < 0.5
     assert np.abs(difference).max() < 1.0
     assert np.sqrt((difference[np.abs(exact - 128) > 0.01] ** 2).mean()) < 0.1
-    truth = renderer.truth(FISHEYE, pose, ids, positions, headings)
+    truth = renderer.truth(Shot(FISHEYE, pose, ids, positions, headings))
     off_axis = np.degrees(np.linalg.norm(truth.centers_px - FISHEYE.principal_point_px, axis=1))
     touched = truth.visible_fractions > 0.5
     assert (off_axis[touched] / FISHEYE.focal_px).max() > 60, "the test goes far out"
@@ -137,10 +138,16 @@ def test_a_zoom_lens_bends_otherwise_at_each_zoom():
     ("changes", "said"),
     [
         ({"lens": "equidistant", "half_angle_deg": 62.0}, ["camera.lens", "degrees off the axis", "83"]),
-        ({"lens": "equidistant", "half_angle_deg": 40.0, "zoom_k1": 0.1}, ["perspective lenses"]),
-        ({"lens": "equidistant", "half_angle_deg": 40.0, "distortion": {"k1": 0.1}}, ["leave them out"]),
+        ({"lens": "equidistant", "half_angle_deg": 40.0, "zoom_k1": 0.1}, ["zoom_k1", "perspective"]),
+        (
+            {"lens": "equidistant", "half_angle_deg": 40.0, "distortion": {"k1": 0.1}},
+            ["distortion", "leave it out"],
+        ),
         ({"preset": "fish"}, ["no preset 'fish'", "fisheye"]),
-        ({"preset": "phone", "focal_px": 500.0, "half_angle_deg": 20.0}, ["exactly one of focal_px"]),
+        (
+            {"preset": "phone", "focal_px": 500.0, "half_angle_deg": 20.0},
+            ["focal_px and half_angle_deg", "exactly one"],
+        ),
         (
             {"half_angle_deg": 30.0, "distortion": {"k1": -0.2}, "zoom_k1": 0.5},
             ["camera.distortion", "folds"],

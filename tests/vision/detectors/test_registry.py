@@ -1,6 +1,7 @@
 """Detectors by name and as `module:factory`, and what is said of those that cannot be made."""
 
 import sys
+from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from skyherd.vision import (
     detections_of_corners,
     detector_names,
 )
+from skyherd.vision.detectors import registry
+from skyherd.vision.detectors.registry import ENTRY_POINTS
 from skyherd.vision.photometric.detector import PhotometricDetector
 
 OWN_DETECTOR = '''
@@ -91,7 +94,10 @@ def test_a_detector_written_from_the_interface_alone_is_created_and_detects(own_
         ("own_detector:NOT_A_FACTORY", "'NOT_A_FACTORY' is not callable"),
         ("own_detector:broken", "ZeroDivisionError: no luck; factory\\('4X4_50'\\) that returns a detector"),
         ("own_detector:nothing", "the factory returned NoneType, which has no method detect"),
-        ("photometrik", "no detector 'photometrik'; one of apriltag3, locus-tag, .*, or module:factory"),
+        (
+            "photometrik",
+            r"no detector 'photometrik'; did you mean 'photometric'\? one of .*, or module:factory",
+        ),
         ("aruco", "^detector: no detector 'aruco'; photometric, or opencv for that of OpenCV alone$"),
     ],
 )
@@ -104,6 +110,35 @@ def test_each_way_to_go_wrong_is_an_input_error_that_says_what(own_module, name,
 def test_an_input_error_of_a_factory_is_passed_on_as_it_is(own_module):
     with pytest.raises(InputError, match=r"^detector choosy: does not know 4X4_50; 5X5_100$"):
         create_detector("own_detector:choosy")
+
+
+@pytest.fixture
+def installed_detectors(own_module, monkeypatch):
+    """Two detectors of an installed package: one with a name of its own, one with a built-in name."""
+    found = [
+        EntryPoint(name, f"{own_module}:{value}", ENTRY_POINTS)
+        for name, value in (("squares", "Square"), ("opencv", "broken"), ("bad", "nothing"))
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: found if group == ENTRY_POINTS else [])
+    registry._plugins.cache_clear()
+    yield
+    registry._plugins.cache_clear()
+
+
+def test_an_installed_detector_is_created_by_its_name(installed_detectors, caplog):
+    with caplog.at_level("INFO", logger="skyherd"):
+        found = create_detector("squares", dictionary="APRILTAG_36h11").detect(np.zeros((9, 9), np.uint8))
+    assert found.ids.tolist() == [14] and "squares" in detector_names()
+    assert "detector squares is own_detector:Square" in caplog.text
+
+
+def test_a_built_in_name_takes_precedence_over_an_installed_one(installed_detectors):
+    assert len(create_detector("opencv").detect(np.zeros((60, 80), np.uint8))) == 0
+
+
+def test_an_installed_detector_that_is_none_is_refused(installed_detectors):
+    with pytest.raises(InputError, match="the factory returned NoneType"):
+        create_detector("bad")
 
 
 @pytest.mark.parametrize("name", [name for name in detector_names() if name != "apriltag3"])

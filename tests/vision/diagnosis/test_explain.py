@@ -10,7 +10,7 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import cells_per_side, code_distance, corners_of_pose, marker_cells
-from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.quad_reading import read_quad
@@ -58,7 +58,7 @@ def draw(ground) -> Draw:
         places = (PLACES_PX - 199.5) / side_px * (1, -1)
         headings = -np.array([0.3, 1, 2, -2])[: len(ids)]
         camera, pose = Camera((400, 400), 10 * side_px), CameraPose((0.0, 0.0), 10.0)
-        return renderer.render(camera, pose, np.array(ids), places[: len(ids)], headings)
+        return renderer.render(Shot(camera, pose, np.array(ids), places[: len(ids)], headings))
 
     return make
 
@@ -114,6 +114,7 @@ def test_too_few_pixels(draw) -> None:
         assert r.measured.value == pytest.approx(7, abs=1.0) and "fly lower" in r.words
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize("contrast", [11.0, 18.0])
 def test_low_contrast(draw, contrast) -> None:
     """Refused by its fit, and faint enough to be lost in the search."""
@@ -323,7 +324,7 @@ def test_what_is_found_is_explained_as_found_and_what_is_refused_by_a_test(
         places = (PLACES_PX - 199.5) / side_px * (1, -1)
         camera = Camera((400, 400), 10 * side_px)
         image = renderer.render(
-            camera, CameraPose((0.0, 0.0), 10.0), np.array(IDS), places, rng.uniform(-3, 3, 4)
+            Shot(camera, CameraPose((0.0, 0.0), 10.0), np.array(IDS), places, rng.uniform(-3, 3, 4))
         )
         image = with_clutter(rng, image, 12)
         detector = PhotometricDetector(DICTIONARY, following=False)

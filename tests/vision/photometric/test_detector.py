@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.dictionary import card_side, code_distance, pose_of_corners
-from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, project_markers
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot, project_markers
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric.fitting.fit import fit_markers
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
@@ -53,7 +53,7 @@ def frames(side_px, noise, psf_px, count, seed):
         )
         ids = np.sort(rng.permutation(50)[:PER_FRAME])
         pose = CameraPose((at[0], at[1]), 10.0)
-        seen = detector.detect(renderer.render(camera, pose, ids, positions, headings))
+        seen = detector.detect(renderer.render(Shot(camera, pose, ids, positions, headings)))
         row = np.searchsorted(ids, seen.ids)
         truth = project_markers(camera, pose, positions, headings, 1.0, card_side(DICTIONARY))
         yield seen, pose_of_corners(truth.corners_px[row])
@@ -74,6 +74,7 @@ HARDEST = {(16, 2), (16, 10), (32, 2)}
 """The smallest markers, whose blur is hardest to tell, and where the bound is lowest; slow tests take all."""
 
 
+@pytest.mark.smoke
 @pytest.mark.parametrize(
     ("side_px", "noise"),
     [pytest.param(*each, marks=() if each in HARDEST else pytest.mark.slow) for each in BOUND],
@@ -126,7 +127,7 @@ def test_an_unknown_blur_is_found(psf_px):
             -1, 1, (6, 2)
         )
         detector.detect(
-            renderer.render(camera, CameraPose((0, 0), 10.0), ids, positions, rng.uniform(-3, 3, 6))
+            renderer.render(Shot(camera, CameraPose((0, 0), 10.0), ids, positions, rng.uniform(-3, 3, 6)))
         )
     assert detector.estimates[0].sigma_px == pytest.approx(total_sigma_px(psf_px), rel=0.08)
 
@@ -136,12 +137,15 @@ def near(side_px, heading, center, seed=0):
     renderer = Renderer(DICTIONARY, 1.0, Ground(0, contrast=0.0), Sensor(0.0, np.random.default_rng(seed)))
     camera = Camera((100, 100), focal_px=side_px, principal_point_px=(0.0, 0.0))
     at = np.array([[center.real, -center.imag]]) / side_px
-    image = renderer.render(camera, CameraPose((0.0, 0.0), 1.0), np.array([9]), at, np.array([-heading]))
+    image = renderer.render(
+        Shot(camera, CameraPose((0.0, 0.0), 1.0), np.array([9]), at, np.array([-heading]))
+    )
     arm = 1j * side_px * np.exp(1j * heading)
     start = LocalHomographies(*(np.array([value], dtype=complex) for value in (center, arm, 0, 0)))
     return image, start
 
 
+@pytest.mark.smoke
 def test_a_perfect_fit_recovers_the_pose_from_two_pixels_away():
     center, heading = 50.3 + 48.8j, 0.7
     image, start = near(30.0, heading, center)
@@ -170,7 +174,7 @@ def test_the_plane_of_a_tilted_camera_is_found():
     renderer = Renderer(DICTIONARY, 1.0, ground_of(1, 0.8), Sensor(2.0, np.random.default_rng(1)))
     camera, pose = Camera((800, 800), focal_px=focal), CameraPose((0.0, 0.0), 13.0, tilt_rad=(tilt, 0.0))
     grid = 4.5 * np.stack(np.meshgrid(np.arange(4) - 1.5, np.arange(4) - 1.5), axis=-1).reshape(-1, 2)
-    image = renderer.render(camera, pose, np.arange(16), grid, np.linspace(-3, 3, 16))
+    image = renderer.render(Shot(camera, pose, np.arange(16), grid, np.linspace(-3, 3, 16)))
     detector = PhotometricDetector(DICTIONARY)
     detector.detect(image)
     plane = detector.estimates[0].plane
@@ -190,7 +194,7 @@ def test_ground_taken_for_markers_has_no_say():
     camera, pose, side_px = Camera((640, 640), focal_px=400.0), CameraPose((0.0, 0.0), 10.0), 40.0
     places = 5.0 * np.stack(np.meshgrid(np.arange(3) - 1, np.arange(3) - 1), axis=-1).reshape(-1, 2)
     headings, ids = rng.uniform(-np.pi, np.pi, 9), np.arange(9)
-    image = renderer.render(camera, pose, ids, places, headings).astype(float)
+    image = renderer.render(Shot(camera, pose, ids, places, headings)).astype(float)
     truth = project_markers(camera, pose, places, headings, 1.0, card_side(DICTIONARY))
     blank = np.ones(image.shape, dtype=bool)
     for u, v in truth.centers_px.astype(int):
@@ -226,7 +230,7 @@ def test_squeezes_of_small_markers_have_no_error_in_common(aspect):
     for _ in range(images):
         at, headings = grid + rng.uniform(-1.5, 1.5, grid.shape), rng.uniform(-np.pi, np.pi, 16)
         detector = PhotometricDetector(DICTIONARY)
-        detector.detect(renderer.render(camera, pose, np.arange(16), at, headings))
+        detector.detect(renderer.render(Shot(camera, pose, np.arange(16), at, headings)))
         squeezes.append(detector.estimates[0].plane.squeeze)
     off = np.array(squeezes) - (1 - aspect) / (1 + aspect)
     deviation = np.sqrt(np.var(off) / 2 / images)
@@ -244,10 +248,12 @@ def test_a_camera_whose_images_change_is_learned_anew(following):
         ground = ground_of(4, psf_px)
         renderer = Renderer(DICTIONARY, 1.0, ground, Sensor(noise, rng), psf_px=psf_px)
         image = renderer.render(
-            Camera((640, 480), focal_px=300.0),
-            CameraPose((0, 0), 10.0),
-            ids,
-            positions,
-            rng.uniform(-3, 3, 6),
+            Shot(
+                Camera((640, 480), focal_px=300.0),
+                CameraPose((0, 0), 10.0),
+                ids,
+                positions,
+                rng.uniform(-3, 3, 6),
+            )
         )
         np.testing.assert_array_equal(detector.detect(image).ids, ids)

@@ -55,6 +55,7 @@ def test_small_and_blurred_markers_are_told_by_their_greys(place_markers, draw_m
     assert len(right) >= 48
 
 
+@pytest.mark.smoke
 def test_likeness_does_not_depend_on_gain_and_offset(place_markers, draw_markers):
     rng = np.random.default_rng(3)
     matrices, corners, size = grid(place_markers, 40.0, rng.uniform(-np.pi, np.pi, 9))

@@ -44,7 +44,7 @@ class LocalHomographies(RowRecord):
         """Return the affine maps nearest to image corners (N, 4, 2), by least squares; horizons are zero."""
         squares = fit_squares(to_complex(corners_px))
         horizons = np.zeros(len(corners_px), dtype=complex)
-        return cls(squares.centers, squares.arms, squares.squeezes, horizons)
+        return cls(squares.centers, squares.similarities, squares.anisotropies, horizons)
 
     def moved(
         self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray, lean: ComplexArray

@@ -39,7 +39,7 @@ UNIT_SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 class BoardModel(Model):
     """A board with markers in rows and columns."""
 
-    kind: Literal["charuco", "aprilgrid", "aruco"] = Field(description="how markers are laid out")
+    kind: Literal["charuco", "aprilgrid", "aruco"] = Field(description="kind of board")
     columns: Annotated[int, Field(ge=1, le=1000)] = Field(description="squares of charuco, else markers")
     rows: Annotated[int, Field(ge=1, le=1000)] = Field(description="squares of charuco, else markers")
     marker: Annotated[float, Field(gt=0, lt=1)] = Field(0.75, description="charuco: marker's side in squares")
@@ -48,7 +48,7 @@ class BoardModel(Model):
         0.3, description="space between markers, in their sides"
     )
     first_id: Annotated[int, Field(ge=0, le=100_000)] = Field(0, description="id of the first marker")
-    name: str = Field("", description="of the board; sets of one name share what is learned of it")
+    name: str = Field("", description="name of the board; sets of one name share its layout corrections")
     degree: Annotated[int, Field(ge=2, le=7)] | None = Field(None, description="of the lens's polynomials")
 
     @property

@@ -27,8 +27,8 @@ def make_panels(result: SetResult) -> tuple[Panel[Measurement], ...]:
         Panel(
             "distributions",
             "Errors of the centre",
-            "Cumulative distribution of the centre errors of found markers; the dotted line is the floor's "
-            "median.",
+            "Share of the markers found whose centre is off by less than a distance; the dotted line is "
+            "the floor's median.",
             lambda measured: draw_distributions(result, measured),
         ),
         Panel(
@@ -41,8 +41,8 @@ def make_panels(result: SetResult) -> tuple[Panel[Measurement], ...]:
         Panel(
             "boards",
             "Errors of the boards",
-            "Displacement of each corner from the layout, estimated from all detectors and images. Arrows "
-            "are enlarged.",
+            "Displacement of each corner from its nominal position, estimated from all detectors and "
+            "images; arrows are enlarged.",
             draw_boards,
         ),
     )

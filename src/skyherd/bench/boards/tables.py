@@ -90,14 +90,14 @@ def _floors(result: SetResult) -> Table:
 COMPARISONS = (
     Comparison(
         "Accuracy, leaving one out",
-        "Median distance of centre / of corners from where all other markers put them, px / median error "
-        "of the heading, degrees; without the errors of that prediction.",
+        "Median distance of centre / of corners from their prediction by all other markers, px / median "
+        "error of the heading, degrees; without the errors of that prediction.",
         _errors,
     ),
     Comparison(
         "Beyond the floor",
-        "The same with the floor taken off in quadrature: what two independent detectors have in common, "
-        "which is board, lens and image rather than detector.",
+        "The same with the floor subtracted in quadrature. The floor is the error that two independent "
+        "detectors share: it comes from board, lens and image.",
         lambda row: _errors(row, "_beyond_floor"),
     ),
     Comparison(

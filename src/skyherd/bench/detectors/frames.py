@@ -1,6 +1,6 @@
 """Frames with ground truth, rendered by `skyherd.render`: the common images of all detectors.
 
-Any function that yields `LabelledFrame`s for a cell, a dictionary and a seed can replace it (`FrameSource`).
+A different source (`FrameSource`) may yield `LabelledFrame`s for a cell, a dictionary and a seed instead.
 """
 
 import math
@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.bench.detectors.design import Cell
-from skyherd.bench.detectors.scene import Shot, camera_shots, covering_discs, touching_squares
+from skyherd.bench.detectors.scene import PlannedShot, camera_shots, covering_discs, touching_squares
 from skyherd.geometry import UNIFORM_VARIANCE, Array, BoolArray, IntArray
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.cramer_rao import pose_covariances
@@ -30,6 +30,7 @@ from skyherd.render import (
     Quad,
     Renderer,
     Sensor,
+    Shot,
     Shutter,
     footprint_m,
 )
@@ -101,7 +102,7 @@ def rendered_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[Labelled
         layout, rng, noise = (np.random.default_rng([seed, unit, use]) for use in range(3))
         toward = rng.uniform(-np.pi, np.pi)
         light = Illumination(gradient=cell.uneven, gradient_rad=toward)
-        # The gain compensates the brightest border, so that white stays within 8 bits.
+        # The gain takes off what the brightest border has in excess, so that white stays within 8 bits.
         sensor = Sensor(
             cell.noise,
             noise,
@@ -164,7 +165,7 @@ def _processing(cell: Cell) -> Processing:
     )
 
 
-def lens_blur(cell: Cell, shot: Shot) -> LensBlur:
+def lens_blur(cell: Cell, shot: PlannedShot) -> LensBlur:
     """Return defocus and coma of a camera, with the image's centre in focus.
 
     The aperture follows from the requested disc in the image corner that is farthest out of focus. The coma's
@@ -181,7 +182,7 @@ def lens_blur(cell: Cell, shot: Shot) -> LensBlur:
     )
 
 
-def _renderer(cell: Cell, dictionary: str, shot: Shot, sensor: Sensor) -> Renderer:
+def _renderer(cell: Cell, dictionary: str, shot: PlannedShot, sensor: Sensor) -> Renderer:
     clutter = None
     if cell.clutter:
         density = cell.clutter / _area(footprint_m(shot.camera, shot.pose))
@@ -212,11 +213,12 @@ def _area(corners: Array) -> float:
     return float(abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2)
 
 
-def _expose(cell: Cell, shot: Shot, renderer: Renderer, rng: np.random.Generator) -> LabelledFrame:
+def _expose(cell: Cell, shot: PlannedShot, renderer: Renderer, rng: np.random.Generator) -> LabelledFrame:
     motion, team = _shake(cell, shot, rng), (shot.ids, shot.positions_m, shot.headings_rad)
     around: list[Disc | Quad] = [*covering_discs(cell, shot, rng), *touching_squares(cell, shot)]
-    image = renderer.render(shot.camera, shot.pose, *team, motion=motion, occluders=around)
-    truth = renderer.truth(shot.camera, shot.pose, *team, motion=motion)
+    bare = Shot(shot.camera, shot.pose, *team, motion=motion)
+    image = renderer.render(replace(bare, occluders=around))
+    truth = renderer.truth(bare)
     spread = renderer.lens_blur.variances_px2(shot.camera, shot.pose, truth.centers_px)
     blur_px = float(np.sqrt(shot.blur_px**2 + spread.mean())) if len(spread) else shot.blur_px
     bounds = marker_bounds(cell, renderer.dictionary, blur_px, truth)
@@ -228,7 +230,9 @@ def _expose(cell: Cell, shot: Shot, renderer: Renderer, rng: np.random.Generator
     return make_frame(shot, image, truth, bounds)
 
 
-def make_frame(shot: Shot, image: npt.NDArray[np.uint8], truth: FrameTruth, bounds: Array) -> LabelledFrame:
+def make_frame(
+    shot: PlannedShot, image: npt.NDArray[np.uint8], truth: FrameTruth, bounds: Array
+) -> LabelledFrame:
     """Assemble a frame from a shot, its image, its truth, and the bounds (N, 3, 3) of its markers.
 
     Occluded markers count as whole: a detector should find them.
@@ -274,7 +278,7 @@ def marker_bounds(cell: Cell, dictionary: str, blur_px: float, truth: FrameTruth
     )
 
 
-def _shake(cell: Cell, shot: Shot, rng: np.random.Generator) -> Motion:
+def _shake(cell: Cell, shot: PlannedShot, rng: np.random.Generator) -> Motion:
     """Return a camera motion with streaks of `motion_px` in a random direction."""
     toward = rng.uniform(-np.pi, np.pi)
     speed = cell.motion_px / EXPOSURE_S * shot.pose.height_m / shot.camera.focal_px

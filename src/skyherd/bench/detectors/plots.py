@@ -229,7 +229,7 @@ PLOTS: tuple[Panel[Result], ...] = (
     Panel(
         "camera",
         "Lens and processing, one at a time",
-        "The same through what a consumer camera does: blur that is no Gaussian, colour filters, tone, "
+        "The same through what a consumer camera does: non-Gaussian blur, colour filters, tone, "
         "denoising, sharpening, codecs, and all of it. The bound is that of the raw pixels.",
         draw_camera,
     ),

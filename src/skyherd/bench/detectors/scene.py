@@ -104,17 +104,17 @@ def make_view(cell: Cell, rng: np.random.Generator) -> tuple[Camera, CameraPose]
 
 
 @dataclass(frozen=True)
-class Shot:
+class PlannedShot:
     """Scene of one image; markers have sides of 1 m.
 
     Attributes:
         unit_id: number of the camera.
-        time_s: time of the image.
+        time_s: when it is taken.
         camera: its intrinsics.
-        pose: its pose.
+        pose: where it is.
         blur_px: standard deviation of its lens's blur.
         ids: (N,) markers.
-        positions_m: (N, 2) their positions.
+        positions_m: (N, 2) where they lie.
         headings_rad: (N,) their headings on the ground.
     """
 
@@ -128,14 +128,14 @@ class Shot:
     headings_rad: Array
 
 
-def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generator) -> Iterator[Shot]:
+def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generator) -> Iterator[PlannedShot]:
     """Yield the shots of one static camera of a cell, in the order of time."""
     camera, pose = make_view(cell, rng)
     team = make_team(cell, dictionary, rng)
     ground_image: Array = np.asarray(np.linalg.inv(homography_image_ground(camera, pose)), dtype=np.float64)
     for index in range(cell.frames):
         points_px, headings = team.at(index)
-        yield Shot(
+        yield PlannedShot(
             unit_id=unit,
             time_s=index / FRAME_RATE_HZ,
             camera=camera,
@@ -147,7 +147,7 @@ def camera_shots(cell: Cell, dictionary: str, unit: int, rng: np.random.Generato
         )
 
 
-def covering_discs(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Disc]:
+def covering_discs(cell: Cell, shot: PlannedShot, rng: np.random.Generator) -> list[Disc]:
     """Return a disc about a random corner of each marker that covers `cell.occlusion` of the square."""
     if not cell.occlusion:
         return []
@@ -157,7 +157,7 @@ def covering_discs(cell: Cell, shot: Shot, rng: np.random.Generator) -> list[Dis
     return [Disc((float(x), float(y)), radius, COVER_LEVEL) for x, y in places]
 
 
-def touching_squares(cell: Cell, shot: Shot) -> list[Quad]:
+def touching_squares(cell: Cell, shot: PlannedShot) -> list[Quad]:
     """Return black squares outside the markers, each of which touches its marker at one corner."""
     if not cell.touching:
         return []

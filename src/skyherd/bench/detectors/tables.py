@@ -64,7 +64,7 @@ def _ratios(result: Result, noise: float) -> Table:
         result,
         noise,
         f"Error over the Cramér–Rao bound, noise {noise:g}",
-        "RMSE of position / of heading over its bound, of the markers found; 1 is what the noise allows.",
+        "RMSE of position / of heading over its bound, of the markers found; 1 is the bound.",
         _pair,
     )
 

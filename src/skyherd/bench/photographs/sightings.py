@@ -49,7 +49,9 @@ class Reader:
 
     def __init__(self, name: str, dictionary: str, options: dict[str, Any]) -> None:
         if unknown := options.keys() - signature(create_detector).parameters.keys():
-            raise InputError(f"detector {name}", f"takes no {', '.join(sorted(unknown))}", "usual markers")
+            raise InputError(
+                f"detector {name}", f"does not support {', '.join(sorted(unknown))}", "usual markers"
+            )
         self.name = name
         if name in REPEATS_TOLD:
             options = options | {"repeats": True}

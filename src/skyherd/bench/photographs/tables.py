@@ -21,9 +21,9 @@ def make_tables(result: PhotographsResult) -> list[Table]:
         ),
         _by_set(
             result,
-            "Wrong ids, and unconfirmed places",
-            "Confirmed markers that a detector reads as another id / places where only detectors of its "
-            "family find anything, of which most show no marker.",
+            "Wrong ids and unconfirmed detections",
+            "Confirmed markers that a detector reads as another id / places where only detectors of one "
+            "family find anything; most of them show no marker.",
             lambda row: f"{row['wrong_ids']} / {row['alone']}",
         ),
         _by_set(

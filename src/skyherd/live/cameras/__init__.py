@@ -1,4 +1,4 @@
-"""Cameras: the newest grey picture of a device, a stream, a video or a folder, and when it was taken.
+"""Cameras: the newest grey picture of a device, stream, video or folder, with its time of capture.
 
 Start with `open_camera`. docs/live/cameras.md has the addresses.
 """

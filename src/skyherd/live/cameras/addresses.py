@@ -1,4 +1,4 @@
-"""Which camera an address means."""
+"""Addresses of cameras."""
 
 import re
 import time
@@ -15,36 +15,36 @@ from skyherd.live.cameras.recordings import ImageFolder, VideoFile
 from skyherd.live.cameras.streams import device_of, stream_of
 
 Pace = Literal["own", "fast"]
-"""How recordings are played: at their own pace, or as fast as their pictures are taken."""
+"""Playback of recordings: `own` at the recorded frame rate, `fast` as fast as the user takes pictures."""
 
 PLUGIN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*(=.*)?", re.DOTALL)
-"""`module:factory`, perhaps with `=TEXT`."""
+"""`module:factory`, optionally with `=TEXT`."""
 
 ALLOWED = "/dev/video0, rtsp://…, http://…, udp://…, tcp://…, a video, a folder of pictures, module:factory"
-"""What an address may be, for complaints."""
+"""Allowed addresses, for error messages."""
 
 
 def open_camera(address: str, *, pace: Pace = "own", clock: Clock = time.monotonic) -> CameraReader:
-    """Open a camera and begin to read it in a thread of its own; close what is returned.
+    """Open a camera and read it in a separate thread. The caller closes the returned reader.
 
     | address | what it is |
     |---|---|
     | `0`, `/dev/video0`, `/dev/video0?size=1280x720&rate=30&format=mjpeg` | a V4L2 device |
     | `rtsp://…`, `http://…`, `https://…`, `udp://…`, `tcp://…` | a stream |
     | a file | a video |
-    | a folder | pictures, as they come; with the pace `fast` those that are there |
-    | `module:factory`, `module:factory=TEXT` | a source of one's own |
+    | a folder | new pictures as they appear; with the pace `fast` the existing ones |
+    | `module:factory`, `module:factory=TEXT` | a custom source |
 
     Args:
         address: see above.
-        pace: of recordings. `own`: each picture comes when it is due, and `captured_s` is when it was due.
-            `fast`: each picture waits until the one before was taken, none is dropped, and `captured_s`
-            counts from the opening as the recording's own time does, which may be ahead of the clock.
-        clock: gives the time, s, of all stamps.
+        pace: playback of recordings. With `own`, each picture appears when it is due, and `captured_s` is its
+            due time. With `fast`, each picture waits until the user has taken the previous one, and none is
+            dropped; `captured_s` is the recording's time since opening, which may be ahead of the clock.
+        clock: returns the time of all stamps, s.
 
     Raises:
-        InputError: it cannot be opened, or did not open in time (`skyherd.live.cameras.reader.OPEN_S`); one
-            clear line, without a password that the address may contain.
+        InputError: the camera cannot be opened, or did not open in time
+            (`skyherd.live.cameras.reader.OPEN_S`). The error text contains no password of the address.
     """
     if pace not in ("own", "fast"):
         raise InputError("pace", repr(pace), "own or fast")
@@ -52,20 +52,20 @@ def open_camera(address: str, *, pace: Pace = "own", clock: Clock = time.monoton
 
 
 def check_camera(address: str) -> None:
-    """Refuse an address that no camera of this machine has; no camera is opened, but videos are.
+    """Refuse an address that no camera of this machine has. It opens videos, but no cameras.
 
     Raises:
-        InputError: it means nothing, or there is no such device, video or factory; see `open_camera`.
+        InputError: the address is invalid, or there is no such device, video or factory; see `open_camera`.
     """
     if isinstance(_source_of(address, "own"), VideoFile):
         open_clip(Path(address))
 
 
 def _source_of(address: str, pace: Pace) -> Source:
-    """The source that an address means.
+    """Return the source of an address.
 
     Raises:
-        InputError: it means none.
+        InputError: the address is invalid.
     """
     if address.isdecimal():
         address = f"/dev/video{address}"

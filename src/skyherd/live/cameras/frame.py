@@ -1,4 +1,4 @@
-"""What a camera gives: a picture with the times at which it was taken and came in."""
+"""Pictures of a camera with their times of capture and arrival, and the interface of sources."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -12,23 +12,23 @@ Grey = npt.NDArray[np.uint8]
 """Grey levels of 8 bits, (height, width)."""
 
 Clock = Callable[[], float]
-"""Gives the time, s, from any beginning; it never goes backwards."""
+"""Function that returns a monotonic time, s, with an arbitrary origin."""
 
 StampedBy = Literal["stream", "arrival"]
-"""What the time of capture comes from: the stream's own clock, or the moment at which the picture came in."""
+"""Source of the time of capture: the stream's own clock, or the arrival of the picture."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A picture of a camera, and its times on the clock that the reader was given.
+    """A picture of a camera, with its times on the reader's clock.
 
     Attributes:
         image: grey levels (height, width); read-only.
-        captured_s: when it was taken, as well as is known; see `stamped_by`.
-        arrived_s: when it came in, decoded.
-        number: how many pictures had come in before it. What is missing between two frames was dropped.
-        stamped_by: `stream` if `captured_s` follows the clock of the stream, so that delays on the way that
-            change are in `arrived_s` alone; `arrival` if there is no such clock and the two are the same.
+        captured_s: estimated time of capture; see `stamped_by`.
+        arrived_s: time at which the decoded picture was received.
+        number: number of pictures received before it. Gaps between two frames are dropped pictures.
+        stamped_by: `stream` if `captured_s` follows the clock of the stream and excludes variable latency;
+            `arrival` if there is no such clock, and `captured_s` equals `arrived_s`.
     """
 
     image: Grey
@@ -40,12 +40,12 @@ class Frame:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture as a source has it.
+    """A picture as a source delivers it.
 
     Attributes:
         image: grey levels (height, width).
-        stream_s: its time on the stream's own clock, whose beginning nobody knows; None if there is none.
-        age_s: how long ago it was taken, where the source knows that for certain; None otherwise.
+        stream_s: its time on the stream's own clock, with an unknown origin; None without such a clock.
+        age_s: time since capture, if the source knows it exactly; else None.
     """
 
     image: Grey
@@ -54,38 +54,38 @@ class Picture:
 
 
 class Source(Protocol):
-    """Where pictures come from: opened, read to its end or until it breaks, and perhaps opened again.
+    """Source of pictures, which the reader opens, reads until it ends or fails, and may reopen.
 
     Attributes:
-        name: what complaints call it; no password in it.
+        name: name in error messages, without a password.
     """
 
     name: str
 
     @property
     def lasting(self) -> bool:
-        """Whether it is a camera, of which more is to be expected after it broke off; a recording ends."""
+        """True for a camera, which is reopened after a failure; False for a recording, which ends."""
         ...
 
     @property
     def pace(self) -> Literal["live", "own", "fast"]:
-        """How a recording is played, `live` for what is none.
+        """Playback of a recording, or `live` for a camera.
 
-        `own` waits until each picture is due by its `stream_s`, `fast` until the one before was taken by the
-        reader's user.
+        `own` waits until each picture is due by its `stream_s`. `fast` waits until the reader's user has
+        taken the previous picture.
         """
         ...
 
     def open(self, pause: Callable[[float], bool]) -> AbstractContextManager[Iterator[Picture]]:
-        """Open it: the pictures, one after the other, for the body of a `with`.
+        """Return a context manager that opens the source and yields the iterator of its pictures.
 
-        Called in a thread of the reader. It may wait for a picture as long as it has to, but only by `pause`
-        or with a time-out of some seconds.
+        The reader calls it in its thread. It may wait for a picture indefinitely, but only by `pause` or with
+        a timeout of a few seconds.
 
         Args:
-            pause: waits for so many seconds, or less if the reader is closed; returns whether it is.
+            pause: waits for a number of seconds, or until the reader is closed. Returns whether it is closed.
 
         Raises:
-            InputError: it cannot be opened or, from the iterator, breaks off; one clear line.
+            InputError: the source cannot be opened or, from the iterator, fails.
         """
         ...

@@ -1,33 +1,33 @@
-"""Says that a camera's pictures are mirrored, as webcams' often are."""
+"""Detection of mirrored cameras, such as many webcams."""
 
 from skyherd.live.cameras.frame import Clock, Frame
 from skyherd.messages import Detections
 from skyherd.vision import explain_mirrored
 
 FIRST_S, MAX_S = 2.0, 60.0
-"""How long after nothing was found the mirror image is looked at, and then ever later up to once in so long,
-s. *Chosen*: a camera is mirrored from its start; the look costs two detections."""
+"""First and longest interval between two searches of the mirror image, s; it doubles each time. *Chosen*: a
+camera is mirrored from its start, and a search costs two detections."""
 
 FEW = 3
-"""With fewer markers found the picture may be mirrored. *Chosen*: some markers are their own mirror image."""
+"""Markers that exclude a mirrored picture. *Chosen*: some markers are their own mirror image."""
 
 
 class MirrorWatch:
-    """Looks at the mirror image of a camera's pictures while next to no marker is found in them.
+    """Detector of mirrored cameras. It searches the mirror image while few markers are detected.
 
     Args:
-        dictionary: of the markers.
-        clock: gives the time, s.
+        dictionary: marker dictionary.
+        clock: returns the time, s.
     """
 
     def __init__(self, dictionary: str, clock: Clock) -> None:
         self._dictionary, self._clock = dictionary, clock
         self._every_s, self._next_s = FIRST_S, clock() + FIRST_S
         self.trouble: str | None = None
-        """What to do about a picture that is mirrored, in words; None as long as none is."""
+        """Advice about a mirrored picture; None for other pictures."""
 
     def look(self, frame: Frame, found: Detections) -> str | None:
-        """What is wrong, given a frame and the markers found in it; None if nothing is."""
+        """Return advice if the frame is mirrored, given its detected markers, or None."""
         if len(found) >= FEW:
             self.trouble, self._every_s = None, FIRST_S
             self._next_s = self._clock() + FIRST_S

@@ -1,4 +1,4 @@
-"""Cameras of one's own: `module:factory`, or `module:factory=TEXT`."""
+"""Custom cameras: `module:factory`, or `module:factory=TEXT`."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -11,18 +11,18 @@ from skyherd.live.cameras.frame import Picture
 from skyherd.plugins import import_factory
 
 ALLOWED = "a function that takes a text and yields grey pictures (height, width) of 8 bits"
-"""What a factory has to be."""
+"""Required signature of a factory, for error messages."""
 
 
 class PluginCamera:
-    """Pictures that a function of one's own yields.
+    """Camera whose pictures come from a custom function.
 
-    `factory(text)` returns an iterable of pictures, each an array (height, width) of uint8 or a `Picture`,
-    which has times too. It is called anew after it ended or failed; what it returns is closed by its method
-    `close`, if it has one.
+    `factory(text)` returns an iterable of pictures. Each is an array (height, width) of uint8, or a `Picture`
+    with its times. The reader calls the factory again after the iterable ended or failed. It calls the
+    iterable's method `close`, if any.
 
     Args:
-        address: `module:factory`, with `=TEXT` where the factory is to be given a text.
+        address: `module:factory`, with `=TEXT` for the argument of the factory.
 
     Raises:
         InputError: there is no such factory.
@@ -37,7 +37,7 @@ class PluginCamera:
 
     @contextmanager
     def open(self, pause: Callable[[float], bool]) -> Iterator[Iterator[Picture]]:
-        """See `Source.open`."""
+        """Call the factory; see `Source.open`."""
         given = self._factory(self._text)
         try:
             yield (self._picture(item) for item in given)
@@ -49,5 +49,5 @@ class PluginCamera:
         picture = item if isinstance(item, Picture) else Picture(item)
         image = np.array(picture.image)
         if image.ndim != 2 or image.dtype != np.uint8 or not image.size:
-            raise InputError(f"camera {self.name}", f"gives an array {image.shape} of {image.dtype}", ALLOWED)
+            raise InputError(f"camera {self.name}", f"yields array {image.shape} of {image.dtype}", ALLOWED)
         return Picture(image, picture.stream_s, picture.age_s)

@@ -1,5 +1,6 @@
-"""The thread that reads a camera and keeps its newest picture only."""
+"""Reader thread of a camera, which keeps only the newest picture."""
 
+import logging
 import threading
 import time
 from collections.abc import Callable
@@ -11,29 +12,30 @@ from skyherd.live.cameras.frame import Clock, Frame, Picture, Source, StampedBy
 from skyherd.live.cameras.sight import Sight
 from skyherd.live.cameras.stamps import StreamStamps
 
+_log = logging.getLogger(__name__)
+
 OPEN_S = 10.0
-"""A camera that has not opened after so long is given up at the start, s. *Chosen*: a stream's first key
-frame may be some seconds away."""
+"""Timeout of the first opening, s. *Chosen*: the first key frame of a stream may take some seconds."""
 
 LATE_S = 1.0
-"""Pictures are late if none came for so long, or if one took so much longer on its way than others, s.
-*Chosen*: beyond any camera's interval, and long before a robot should have stopped for want of goals."""
+"""Watchdog time without a picture, and increase of latency, above which pictures are late, s. *Chosen*: above
+the frame interval of any camera."""
 
 OLD_S = 3.0
-"""A stream that has shown nothing but pictures older than one before for so long is opened anew, s. *Chosen*:
-its clock may have begun again. Until then they are dropped, since they may be repeats."""
+"""Time with only out-of-order pictures after which a stream is reopened, s. *Chosen*: its clock may have
+restarted. Until then the pictures may be repeats, and are dropped."""
 
 FIRST_WAIT_S, MAX_WAIT_S = 0.25, 8.0
-"""Pause before a stream that broke is opened again, doubled each time up to the second, s. *Chosen*: a short
-break costs little time, and a server that is down is left in peace."""
+"""First and longest pause before a broken stream is reopened, s; each pause doubles. *Chosen*: a short outage
+costs little time, and a server that is down gets few requests."""
 
 CLOSE_S = 1.0
-"""How long `close` waits for the thread, s. *Chosen*: a thread that hangs in a driver ends with the process,
-at the latest."""
+"""Longest wait of `close` for the thread, s. *Chosen*: a thread that hangs in a driver ends with the
+process."""
 
 
 class CameraReader:
-    """Reads a source in a thread of its own and gives the newest picture, each at most once.
+    """Reader of a source in a separate thread. It returns the newest picture, each at most once.
 
     ```python
     with open_camera("rtsp://camera/stream") as camera:
@@ -41,19 +43,19 @@ class CameraReader:
             frame = camera.newest(timeout_s=0.5)
     ```
 
-    What was not asked for in time is dropped and counted, so that whoever is slow sees the present, with
-    gaps, and not the past. Recordings that are played `fast` are the exception: they wait, and drop nothing.
+    Pictures not taken in time are dropped and counted, so that a slow user sees recent pictures with gaps.
+    Recordings with the pace `fast` are the exception: they wait, and drop nothing.
 
     Args:
-        source: where pictures come from.
-        clock: gives the time, s, of all stamps.
-        pause: waits for so many seconds and returns whether the reader was closed; a real wait if None.
+        source: source of the pictures.
+        clock: returns the time of all stamps, s.
+        pause: waits for a number of seconds and returns whether the reader was closed; a real wait if None.
 
     Attributes:
-        received: number of pictures that came in.
-        dropped: number of those that nobody asked for in time, or that were older than one before.
-        reconnects: how often the source was opened again.
-        name: what complaints call the source.
+        received: number of received pictures.
+        dropped: number of received pictures that were not taken in time, or were out of order.
+        reconnects: number of times the source was reopened.
+        name: name of the source in error messages.
     """
 
     def __init__(
@@ -78,11 +80,10 @@ class CameraReader:
         self._thread = threading.Thread(target=self._run, name=f"camera {source.name}", daemon=True)
 
     def start(self, timeout_s: float = OPEN_S) -> Self:
-        """Open the source, and begin to read.
+        """Open the source, start reading, and return the reader.
 
         Raises:
-            InputError: it cannot be opened, or did not open within `timeout_s`; one clear line. The reader is
-                closed then.
+            InputError: the source cannot be opened, or did not open within `timeout_s`. The reader is closed.
         """
         self._thread.start()
         if not self._opened.wait(timeout_s):
@@ -96,7 +97,7 @@ class CameraReader:
         return self
 
     def newest(self, timeout_s: float) -> Frame | None:
-        """The newest picture that was not given before; None if none came within `timeout_s` of real time."""
+        """Return the newest picture, each once, or None if none comes within `timeout_s` of real time."""
         with self._arrival:
             self._arrival.wait_for(lambda: self._fresh is not None or self._over, timeout_s)
             frame, self._fresh = self._fresh, None
@@ -105,15 +106,15 @@ class CameraReader:
 
     @property
     def ended(self) -> bool:
-        """Whether no picture will come any more: a recording was read to its end, or this was closed."""
+        """True if no more pictures will come: a recording has ended, or the reader is closed."""
         with self._arrival:
             return self._over and self._fresh is None
 
     @property
     def trouble(self) -> str | None:
-        """What is wrong with the pictures now (none, late, old, black, frozen), in one line; None if nothing.
+        """Current fault of the pictures (none, late, old, black, frozen) in one line, or None.
 
-        A camera that is mirrored shows only in the markers: see `MirrorWatch`.
+        A mirrored camera is detected by its markers: see `MirrorWatch`.
         """
         with self._arrival:
             now_s = self._clock()
@@ -124,22 +125,22 @@ class CameraReader:
             return None if why is None else f"{self.name}: {why}"
 
     def _late(self, now_s: float) -> str | None:
-        """Whether pictures of a camera fail to come in time, in words."""
+        """Return the timing fault of a camera's pictures as a text, or None."""
         if self._source.pace != "live":
             return None
         if now_s - self._last_s >= LATE_S:
-            return f"late: no picture for {now_s - self._last_s:.1f} s: the stream stalls"
+            return f"late: no picture for {now_s - self._last_s:.1f} s; the stream has stalled"
         if self._old_since_s is not None:
-            return "old: shows pictures that are older than one that it has shown; does it repeat them?"
+            return "old: pictures are older than an earlier one; the stream may repeat them"
         if self._lag_s >= LATE_S:
             return (
-                f"late: pictures take {self._lag_s:.1f} s longer than they did; the network or this computer "
-                "is too slow for them"
+                f"late: pictures take {self._lag_s:.1f} s longer than they did; the latency of the network "
+                "or of this computer is too high"
             )
         return None
 
     def close(self) -> None:
-        """End the thread; what has come in and was not asked for is dropped. May be called again."""
+        """End the thread, and drop the picture that was not taken. Further calls have no effect."""
         self._closing.set()
         with self._arrival:
             self._over = True
@@ -157,7 +158,7 @@ class CameraReader:
         self.close()
 
     def _run(self) -> None:
-        """Open and read the source until it ends or the reader is closed; what breaks is opened again."""
+        """Read the source until it ends or the reader is closed. Reopen a broken camera."""
         wait_s = FIRST_WAIT_S
         while not self._closing.is_set():
             received = self.received
@@ -171,6 +172,7 @@ class CameraReader:
                 break
             if self.received > received:
                 wait_s = FIRST_WAIT_S
+            _log.info("%s: %s; opened again in %g s", self.name, why, wait_s)
             if self._pause(wait_s):
                 break
             wait_s = min(2 * wait_s, MAX_WAIT_S)
@@ -181,7 +183,7 @@ class CameraReader:
             self._arrival.notify_all()
 
     def _read(self) -> str | None:
-        """Open the source and read it to its end: why it ended, in words; None if as it should."""
+        """Open the source and read it to its end. Return the reason of its failure, or None."""
         stamps = StreamStamps()
         try:
             with self._source.open(self._pause) as pictures:
@@ -194,7 +196,7 @@ class CameraReader:
                     if self._closing.is_set():
                         break
                     if not self._take(picture, stamps):
-                        return "it showed nothing but old pictures"
+                        return "all its pictures were old"
         except Exception as error:
             refused = (
                 error
@@ -210,7 +212,7 @@ class CameraReader:
         return "it ended" if self._source.lasting else None
 
     def _take(self, picture: Picture, stamps: StreamStamps) -> bool:
-        """Stamp a picture and make it the newest; False if the source is to be opened anew."""
+        """Stamp a picture and make it the newest. Return False if the source must be reopened."""
         if self._source.pace == "live":
             return self._take_live(picture, stamps)
         due_s = self._since_s + (picture.stream_s or 0.0)
@@ -225,7 +227,7 @@ class CameraReader:
         return True
 
     def _take_live(self, picture: Picture, stamps: StreamStamps) -> bool:
-        """The same for a camera: when it was taken has to be found out, and it may be old."""
+        """Stamp a picture of a camera. Drop it if it is out of order, or its time is still unknown."""
         arrived_s = self._clock()
         captured_s, by, settled = arrived_s, "arrival", True
         if picture.age_s is not None:

@@ -1,4 +1,4 @@
-"""Pictures that lie in files: a video at its own pace or as fast as they are taken, and folders of images."""
+"""Pictures in files: videos, and folders of images."""
 
 import os
 import time
@@ -10,23 +10,22 @@ from typing import Literal
 from skyherd.errors import InputError
 from skyherd.files.images import SUFFIXES, read_grey
 from skyherd.files.reading import is_regular
-from skyherd.files.video_reader import VideoFrame as Clipped
-from skyherd.files.video_reader import open_clip, read_clip
+from skyherd.files.video_reader import ClipFrame, open_clip, read_clip
 from skyherd.live.cameras.frame import Picture
 
 POLL_S = 0.02
-"""How often a growing folder is looked at, s. *Chosen*: less than a camera's interval."""
+"""Polling period of a growing folder, s. *Chosen*: below the frame interval of a camera."""
 
 UNFINISHED_S = 2.0
-"""A picture that cannot be read is taken for one that is still being written for so long after it was last
-changed, s; later it is passed over. *Chosen*: no picture takes longer to write."""
+"""Time since its last change for which an unreadable picture counts as incomplete, s; later it is skipped.
+*Chosen*: no picture takes longer to write."""
 
 
 class VideoFile:
     """A video file, played at its own pace or as fast as its pictures are taken.
 
     Args:
-        path: of the file; it has to be regular, and a video.
+        path: a regular file with a video.
         pace: `own` or `fast`.
     """
 
@@ -38,11 +37,11 @@ class VideoFile:
 
     @contextmanager
     def open(self, pause: Callable[[float], bool]) -> Iterator[Iterator[Picture]]:
-        """See `Source.open`; times are counted from the video's first picture."""
+        """Open the video. Times count from its first picture; see `Source.open`."""
         with closing(read_clip(open_clip(self._path))) as frames:
             yield self._pictures(frames)
 
-    def _pictures(self, frames: Iterator[Clipped]) -> Iterator[Picture]:
+    def _pictures(self, frames: Iterator[ClipFrame]) -> Iterator[Picture]:
         first_s: float | None = None
         for frame in frames:
             first_s = frame.time_s if first_s is None else first_s
@@ -50,14 +49,13 @@ class VideoFile:
 
 
 class ImageFolder:
-    """A folder of pictures that a camera writes into, or has written into.
+    """A folder of pictures, complete or written by a camera.
 
-    `fast` reads the pictures that are there, in the order of their names, and ends. `live` is for a camera
-    that goes on writing: of what is there only the newest counts, and then each that is added or changed, at
-    the time at which the file was last changed.
+    `fast` reads the existing pictures in the order of their names, and ends. `live` reads the newest picture,
+    and then each added or changed one. The time of a picture is the last change of its file.
 
     Args:
-        path: of the folder.
+        path: the folder.
         pace: `fast` or `live`.
     """
 
@@ -68,14 +66,14 @@ class ImageFolder:
 
     @contextmanager
     def open(self, pause: Callable[[float], bool]) -> Iterator[Iterator[Picture]]:
-        """See `Source.open`."""
+        """Open the folder; see `Source.open`."""
         found = self._files()
         if self.pace == "fast" and not found:
             raise InputError(self.name, "no picture in this folder", f"names that end in {_endings()}")
         yield self._recorded(found) if self.pace == "fast" else self._growing(found, pause)
 
     def _files(self) -> list[tuple[int, str]]:
-        """When each picture was last changed, ns, and its name, in this order.
+        """Return the time of the last change, ns, and the name of each picture, sorted.
 
         Raises:
             InputError: the folder cannot be read.
@@ -91,7 +89,7 @@ class ImageFolder:
             raise InputError(self.name, f"cannot be read: {error.strerror}", "a folder of pictures") from None
 
     def _recorded(self, found: list[tuple[int, str]]) -> Iterator[Picture]:
-        """All pictures by name; the first is at 0, and each at the time at which its file was changed."""
+        """Yield all pictures by name, with the times of their files' last changes since the first one."""
         first_ns = min(changed_ns for changed_ns, _ in found)
         last_s = 0.0
         for changed_ns, name in sorted(found, key=lambda file: file[1]):
@@ -99,7 +97,7 @@ class ImageFolder:
             yield Picture(read_grey(self._path / name), last_s)
 
     def _growing(self, found: list[tuple[int, str]], pause: Callable[[float], bool]) -> Iterator[Picture]:
-        """The newest picture, and then all that come."""
+        """Yield the newest picture, and then all new ones."""
         last = found[-2] if len(found) > 1 else (0, "")
         while True:
             for changed_ns, name in [file for file in self._files() if file > last]:

@@ -1,51 +1,49 @@
-"""Whether a camera still shows anything: black, even and frozen pictures."""
+"""Detection of black, uniform and frozen pictures."""
 
 import numpy as np
 
 from skyherd.live.cameras.frame import Grey
 
 STEP = 8
-"""Every eighth pixel of every eighth row is looked at for black. *Chosen*: a marker that can be read is
-larger."""
+"""Subsampling step of the tests for black and uniform pictures, px. *Chosen*: readable markers are larger."""
 
 BLACK = 24
-"""A picture without a brighter level is black. *Chosen*: above the noise of a covered camera (some 10
-levels), and below the white of a marker that can be read."""
+"""Brightest grey level of a black picture. *Chosen*: above the noise of a covered camera (about 10 levels),
+below the white of a readable marker."""
 
 EVEN = 6
-"""A picture whose levels differ by no more shows nothing. *Chosen*: what compression leaves of one level."""
+"""Largest range of grey levels of a uniform picture. *Chosen*: compression noise of a single level."""
 
 FROZEN_S = 2.0
-"""The same picture, to the bit, for so long is said to be frozen. *Chosen*: a sensor's noise changes every
-picture; a compressed one of a scene at rest may stay the same from one key frame to the next, usually for
-a second or less."""
+"""Time of bitwise identical pictures above which they are frozen, s. *Chosen*: sensor noise changes pictures,
+and compressed ones of a static scene change at key frames, usually within 1 s."""
 
 
 class Sight:
-    """What is wrong with the pictures of one camera, from one to the next."""
+    """Check of the content of one camera's pictures."""
 
     def __init__(self) -> None:
         self._last: Grey | None = None
         self._new_s = self._seen_s = 0.0
 
     def look(self, image: Grey, time_s: float) -> None:
-        """Look at a picture (height, width) that came in at a time, s."""
+        """Process a picture (height, width) that arrived at a time, s."""
         if self._last is None or not np.array_equal(image, self._last):
             self._last, self._new_s = image, time_s
         self._seen_s = time_s
 
     @property
     def trouble(self) -> str | None:
-        """What is wrong with the last picture, in words; None if nothing is."""
+        """Fault of the last picture as a text, or None."""
         if self._last is None:
             return None
         sample = self._last[::STEP, ::STEP]
         low, high = int(sample.min()), int(sample.max())
         if high <= BLACK:
-            return "black: no pixel is bright; is the lens covered, or the exposure too short?"
+            return "black: no bright pixel; check the lens cover and the exposure"
         if high - low <= EVEN:
-            return "one even grey: no signal, or nothing in view"
+            return "one even grey: no signal, or no contrast in view"
         same_s = self._seen_s - self._new_s
         if same_s >= FROZEN_S:
-            return f"frozen: the same picture for {same_s:.1f} s, to the last bit, or nothing in it moves"
+            return f"frozen: identical pictures for {same_s:.1f} s; the camera or the scene is static"
         return None

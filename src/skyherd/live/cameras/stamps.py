@@ -1,45 +1,44 @@
-"""When a picture was taken, told from the stream's clock."""
+"""Time of capture of a picture, estimated from the stream's clock."""
 
 DRIFT = 2e-4
-"""Most that a stream's clock may be slower than ours, s a second. *Chosen*: crystals of cheap cameras are off
-by a hundred millionths at most; twice that is allowed for."""
+"""Largest drift of a stream's clock behind ours, s/s. *Chosen*: twice the error of cheap camera crystals
+(100 ppm)."""
 
 BURST = 0.5
-"""A picture that comes sooner after another than this share of their distance on the stream's clock had been
-waiting somewhere. *Chosen*: pictures that come at their pace have a share of 1."""
+"""Ratio of arrival interval to stream interval below which a picture was buffered. *Chosen*: unbuffered
+pictures have a ratio of about 1."""
 
 MAX_BURST_S = 2.0
-"""A burst at the beginning is over after so long, s. *Chosen*: servers keep a second or so."""
+"""Longest burst of buffered pictures at the beginning, s. *Chosen*: servers buffer about one second."""
 
 
 class StreamStamps:
-    """Times of capture from the times that a stream has for its pictures.
+    """Estimator of the time of capture from a stream's time stamps.
 
-    The two clocks differ by an offset that nobody tells. The picture that came in soonest after its time on
-    the stream's clock was delayed least, so that
+    The two clocks differ by an unknown offset. The picture with the smallest latency bounds it:
 
         offset = min over pictures of (arrived - stream),   captured = stream + offset,
 
-    where the minimum may rise by `DRIFT` of the time that passed. Of a delay, what is common to all pictures
-    is not seen (exposure, encoding, the way), and what comes on top for some of them is taken off. Times
-    never lie after the arrival.
+    where the minimum may rise by `DRIFT` of the elapsed time. The estimate removes variable latency. It does
+    not see the latency common to all pictures (exposure, encoding, transport). The time of capture is never
+    later than the arrival.
 
-    One that is opened for a new connection begins anew: streams restart their clocks.
+    Each connection needs a new estimator: streams restart their clocks.
     """
 
     def __init__(self) -> None:
         self._offset_s: float | None = None
         self._began_s = self._stream_s = self._arrived_s = 0.0
         self.settled = False
-        """Whether a first picture came at its own pace: those before it had been waiting somewhere for an
-        unknown time, as servers keep some for whoever connects, and their times are too late."""
+        """True after the first picture that was not buffered. Servers send buffered pictures to a new client,
+        and the estimated times of these are too late."""
 
     def captured_s(self, stream_s: float, arrived_s: float) -> float:
-        """When the picture was taken, on our clock.
+        """Return the estimated time of capture of a picture, s, on our clock.
 
         Args:
             stream_s: its time on the stream's clock.
-            arrived_s: when it came in, on ours.
+            arrived_s: its time of arrival on our clock.
         """
         offset_s = arrived_s - stream_s
         if self._offset_s is None:

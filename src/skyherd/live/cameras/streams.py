@@ -1,4 +1,4 @@
-"""Devices and streams, by PyAV: V4L2, RTSP, HTTP, UDP and TCP."""
+"""Devices and streams read with PyAV: V4L2, RTSP, HTTP, UDP and TCP."""
 
 import os
 import stat
@@ -18,19 +18,19 @@ from skyherd.files.upright_grey import UprightGrey
 from skyherd.live.cameras.frame import Picture
 
 OPEN_S, READ_S = 8.0, 5.0
-"""Time-outs of FFmpeg, s: until a stream is open, and until a further picture comes, after which the stream
-is opened anew. *Chosen*: below `skyherd.live.cameras.reader.OPEN_S`; cameras give several a second."""
+"""Timeouts of FFmpeg for opening a stream and for the next picture, s. *Chosen*: below
+`skyherd.live.cameras.reader.OPEN_S`; cameras deliver several pictures a second."""
 
 V4L2 = "video4linux2,v4l2"
-"""FFmpeg's name of the devices of Linux."""
+"""FFmpeg's name of the V4L2 input format."""
 
 CLOCKED = frozenset({"mpegts", "nut", "rtsp", "matroska,webm", "mov,mp4,m4a,3gp,3g2,mj2", "flv", "asf", V4L2})
-"""Formats whose times come from whoever made the stream. Of the others (JPEG or H.264 without a container)
-FFmpeg counts pictures, which is no clock."""
+"""Formats with time stamps of the sender. For others (JPEG or H.264 without a container), FFmpeg numbers the
+pictures instead."""
 
 FORMATS = frozenset({*CLOCKED, "sdp", "rtp", "mpjpeg", "mjpeg", "jpeg_pipe", "h264", "hevc", "m4v"})
-"""Formats that a stream may have. *Chosen*: those of cameras. FFmpeg has hundreds, some of which (playlists)
-open other files and addresses."""
+"""Allowed formats of a stream. *Chosen*: those of cameras. Some of FFmpeg's other formats (playlists) open
+further files and addresses."""
 
 PROTOCOLS = {
     "rtsp": ("rtsp", "rtp", "udp", "tcp"),
@@ -40,7 +40,7 @@ PROTOCOLS = {
     "udp": ("udp",),
     "tcp": ("tcp",),
 }
-"""By scheme of an address, the protocols that FFmpeg may use for it, none of which reads a file."""
+"""Protocols that FFmpeg may use, by address scheme. None of them reads a file."""
 
 MIN_DELAY = {
     "fflags": "nobuffer",
@@ -48,15 +48,14 @@ MIN_DELAY = {
     "analyzeduration": "1000000",
     "fpsprobesize": "2",
 }
-"""What FFmpeg is told so that it keeps no picture back."""
+"""FFmpeg options that disable its buffering of pictures."""
 
 MAX_AGE_S = 10.0
-"""A device's time is on our machine's clock if it lies in the past by no more than so much, s. *Chosen*: any
-other clock is off by more, but for a chance in many thousand."""
+"""Largest age of a picture at which the device's time counts as the machine's monotonic time, s. *Chosen*:
+times of other clocks fall into this range with negligible probability."""
 
 DEVICE_OPTIONS = {"size": "video_size", "rate": "framerate", "format": "input_format"}
-"""What may stand behind a device's name, as in `/dev/video0?size=1280x720&rate=30&format=mjpeg`, and FFmpeg's
-name for it."""
+"""FFmpeg's names of the options of a device, as in `/dev/video0?size=1280x720&rate=30&format=mjpeg`."""
 
 
 @dataclass
@@ -64,10 +63,10 @@ class Stream:
     """A stream from the network, or a device.
 
     Attributes:
-        name: what complaints call it, without a password.
-        address: as FFmpeg takes it.
-        options: as FFmpeg takes them.
-        form: FFmpeg's name of the format; None to find out.
+        name: name in error messages, without a password.
+        address: address for FFmpeg.
+        options: options for FFmpeg.
+        form: FFmpeg's name of the format; None to detect it.
     """
 
     name: str
@@ -79,8 +78,8 @@ class Stream:
 
     @contextmanager
     def open(self, pause: Callable[[float], bool]) -> Iterator[Iterator[Picture]]:
-        """See `Source.open`."""
-        with self._telling(f"no answer within {OPEN_S:g} s"):
+        """Open the stream; see `Source.open`."""
+        with self._input_errors(f"no answer within {OPEN_S:g} s"):
             container = av.open(
                 self.address,
                 "r",
@@ -89,19 +88,19 @@ class Stream:
                 timeout=(OPEN_S, READ_S),
             )
         try:
-            with self._telling("no answer"):
+            with self._input_errors("no answer"):
                 if not container.streams.video:
                     raise InputError(self.name, "no video in it", "a stream with pictures")
                 stream = container.streams.video[0]
-                stream.thread_type = "SLICE"  # threads by frame would each keep one back
+                stream.thread_type = "SLICE"  # Frame threads would each delay one picture.
             yield self._pictures(container, stream)
         finally:
             with suppress(av.FFmpegError):
                 container.close()
 
     @contextmanager
-    def _telling(self, timed_out: str) -> Iterator[None]:
-        """Errors of FFmpeg as one clear line; what a time-out means, in words."""
+    def _input_errors(self, timed_out: str) -> Iterator[None]:
+        """Raise errors of FFmpeg as InputError. `timed_out` is the text of a timeout."""
         try:
             yield
         except InputError:
@@ -113,7 +112,7 @@ class Stream:
 
     def _pictures(self, container: Any, stream: Any) -> Iterator[Picture]:
         clocked, grey = container.format.name in CLOCKED, UprightGrey()
-        with self._telling(f"no picture within {READ_S:g} s"):
+        with self._input_errors(f"no picture within {READ_S:g} s"):
             for picture in container.decode(stream):
                 if picture.width * picture.height > MAX_PIXELS:
                     raise InputError(self.name, f"{picture.width}x{picture.height} px", "smaller pictures")
@@ -125,26 +124,26 @@ class Stream:
 
 
 def age_on_this_machine(stream_s: float, now_s: float) -> float | None:
-    """Age of a device's picture, s, if its driver stamps by the machine's monotonic clock; None otherwise.
+    """Return the age of a device's picture, s, or None if the driver does not use the monotonic clock.
 
-    Linux' drivers do so as a rule, at the first byte or at the end of the exposure.
+    Most Linux drivers stamp with the monotonic clock, at the first byte or at the end of the exposure.
 
     Args:
-        stream_s: the device's time.
-        now_s: the machine's, `time.monotonic`.
+        stream_s: time of the device.
+        now_s: time of the machine, `time.monotonic`.
     """
     age_s = now_s - stream_s
     return age_s if 0 <= age_s <= MAX_AGE_S else None
 
 
 def stream_of(address: str) -> Stream:
-    """The stream at an address with a scheme, such as `rtsp://camera/1`.
+    """Return the stream at an address with a scheme, such as `rtsp://camera/1`.
 
-    Of `udp://host:port` the packets that come to this port are read, at the address `host` of this machine;
-    `tcp://host:port` connects, and with `?listen` waits for whoever sends.
+    `udp://host:port` receives packets at this port of the local address `host`. `tcp://host:port` connects to
+    a sender, and with `?listen` waits for one.
 
     Raises:
-        InputError: the scheme is none of a camera, or the address names no host.
+        InputError: the scheme is not supported, or the address names no host.
     """
     try:
         parts = urlsplit(address)
@@ -174,10 +173,10 @@ def stream_of(address: str) -> Stream:
 
 
 def device_of(address: str) -> Stream:
-    """The V4L2 device `/dev/videoN`, with `?size=…&rate=…&format=…` behind it where wanted.
+    """Return the V4L2 device `/dev/videoN`, optionally with `?size=…&rate=…&format=…`.
 
     Raises:
-        InputError: there is no such device, or an option that is not known.
+        InputError: there is no such device, or an option is unknown.
     """
     path, _, query = address.partition("?")
     options = {}
@@ -196,7 +195,7 @@ def device_of(address: str) -> Stream:
 
 
 def _why(error: Exception, timed_out: str) -> str:
-    """What FFmpeg or the system says, in words."""
+    """Return the text of an error of FFmpeg or the operating system."""
     if isinstance(error, av.error.ExitError | TimeoutError):
         return timed_out
     if isinstance(error, av.error.EOFError):

@@ -1,6 +1,6 @@
-"""Robots: velocity commands out to wheels, by ROS 2, MQTT, serial and UDP lines, or printed.
+"""Drivers: velocity commands to robots by ROS 2, MQTT, serial and UDP lines, or printed.
 
-Start with `open_driver`. docs/live/drivers.md has the addresses and what goes over the wire.
+Start with `open_driver`. docs/live/drivers.md has the addresses and the wire formats.
 """
 
 from skyherd.live.drivers.addresses import WORLD, check_driver, open_driver

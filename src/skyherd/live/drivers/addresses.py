@@ -1,4 +1,4 @@
-"""Which robot an address means."""
+"""Addresses of robots."""
 
 import re
 import time
@@ -18,20 +18,20 @@ from skyherd.live.drivers.ros2 import Ros2, topic_of
 from skyherd.plugins import import_factory
 
 PLUGIN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*(=.*)?", re.DOTALL)
-"""`module:factory`, perhaps with `=TEXT`."""
+"""`module:factory`, optionally with `=TEXT`."""
 
 ALLOWED = "ros2://…, mqtt://…, serial:///dev/ttyUSB0, udp://host:port, dry-run, module:factory"
-"""What an address may be, for complaints."""
+"""Allowed addresses, for error messages."""
 
 DRY_RUN = "dry-run"
-"""Address that prints what a robot would do."""
+"""Address of the driver that only prints commands."""
 
 WORLD = "world"
-"""Address of wheels and autopilots that `skyherd world` simulates. A lab may have it; its processes open it
-themselves, since it needs their radio."""
+"""Address of wheels and autopilots simulated by `skyherd world`. `open_driver` refuses it: the processes of a
+lab open it with their radio."""
 
 FACTORY = "a function of (robot_id, text) that returns an object with write(motion) and close()"
-"""What a plug-in has to be."""
+"""Required signature of a plug-in, for error messages."""
 
 
 def open_driver(
@@ -44,28 +44,28 @@ def open_driver(
     hold_s: float = HOLD_S,
     clock: Callable[[], float] = time.monotonic,
 ) -> RobotDriver:
-    """Open the driver of one robot; close what is returned, which stops the robot.
+    """Open and return the driver of one robot. The caller closes it, which stops the robot.
 
     | address | what it is |
     |---|---|
     | `ros2://host/robot3/cmd_vel?type=TwistStamped&domain=0` | ROS 2 over Zenoh (`ros2`) |
-    | `mqtt://user:password@host/topic`, `mqtts://…` | JSON to a broker of MQTT (`mqtt`) |
+    | `mqtt://user:password@host/topic`, `mqtts://…` | JSON to an MQTT broker (`mqtt`) |
     | `serial:///dev/ttyUSB0?baud=115200` | lines of text over a serial port (`lines`) |
-    | `udp://host:9000` | the same lines, a packet each |
-    | `dry-run` | prints what the robot would do |
-    | `module:factory`, `module:factory=TEXT` | a link of one's own |
+    | `udp://host:9000` | the same lines, one per packet |
+    | `dry-run` | prints the commands |
+    | `module:factory`, `module:factory=TEXT` | a custom link |
 
     Args:
-        address: see above; `{id}` in it stands for the robot's number.
+        address: see above; the robot's number replaces `{id}`.
         robot_id: the robot.
-        limits: on speed, turn and acceleration.
-        flies: whether it is a unit that flies.
-        rate_hz: how often something is written.
-        hold_s: age at which a command is forgotten and zero is sent.
-        clock: gives the time, s.
+        limits: limits of speed, turn rate and acceleration.
+        flies: True for a flying unit.
+        rate_hz: rate at which commands are written.
+        hold_s: watchdog time; commands older than this are stale, and zero is sent.
+        clock: returns the time, s.
 
     Raises:
-        InputError: it cannot be opened; one clear line, without a password that the address may contain.
+        InputError: the driver cannot be opened. The error text contains no password of the address.
     """
     link = _link_of(address, robot_id)
     return RobotDriver(
@@ -74,15 +74,15 @@ def open_driver(
 
 
 def check_driver(address: str, robot_id: int, *, imports: bool = False) -> None:
-    """Refuse an address that no robot of a lab can have; nothing is opened, and nobody is asked.
+    """Refuse an invalid address of a robot in a lab. It opens nothing.
 
     Args:
         address: see `open_driver`, or `WORLD`.
         robot_id: the robot.
-        imports: also import the factory of a driver of one's own, which has to be on this machine then.
+        imports: also import the factory of a custom driver, which then must exist on this machine.
 
     Raises:
-        InputError: there is no such scheme, or host, port, speed, topic or option are none.
+        InputError: the scheme is unknown, or the host, port, speed, topic or an option is invalid.
     """
     address = address.replace("{id}", str(robot_id))
     if address in (DRY_RUN, WORLD):
@@ -96,7 +96,7 @@ def check_driver(address: str, robot_id: int, *, imports: bool = False) -> None:
 
 
 def _link_of(address: str, robot_id: int) -> Link:
-    """The link that an address means."""
+    """Return the link of an address."""
     address = address.replace("{id}", str(robot_id))
     if address == DRY_RUN:
         return DryRun(robot_id)
@@ -109,11 +109,11 @@ def _link_of(address: str, robot_id: int) -> Link:
 
 @dataclass(frozen=True)
 class Transport:
-    """How links of one scheme are made.
+    """Functions for the links of one scheme.
 
     Attributes:
-        parse: takes an address apart, and raises ValueError if it cannot be one.
-        open: makes a link of it.
+        parse: parses an address, and raises ValueError if it is invalid.
+        open: opens the link of an address.
     """
 
     parse: Callable[[str, int], object]
@@ -127,11 +127,11 @@ _TRANSPORTS = {
     "serial": Transport(serial_place, SerialLines),
     "udp": Transport(udp_place, UdpLines),
 }
-"""What makes a link, by the scheme of its address."""
+"""Transports by the scheme of an address."""
 
 
 def _transport_of(address: str, allowed: str) -> Transport | None:
-    """What makes the links of an address; None if that is a factory of one's own."""
+    """Return the transport of an address, or None for a custom factory."""
     scheme = address.partition("://")[0].lower() if "://" in address else ""
     if scheme not in _TRANSPORTS and not PLUGIN.fullmatch(address):
         raise InputError("driver", f"no driver {_shown(address)!r}", allowed)
@@ -140,7 +140,7 @@ def _transport_of(address: str, allowed: str) -> Transport | None:
 
 @contextmanager
 def _one_line(address: str) -> Iterator[None]:
-    """What a part of an address cannot be, as one clear line without its password."""
+    """Raise ValueErrors of the body as InputError, without the password of the address."""
     try:
         yield
     except InputError:
@@ -150,18 +150,18 @@ def _one_line(address: str) -> Iterator[None]:
 
 
 def _shown(address: str) -> str:
-    """An address without user and password."""
+    """Return an address without user and password."""
     return re.sub("//[^/]*@", "//", address)
 
 
 def _factory_of(address: str) -> Callable[..., object]:
-    """The factory of one's own that an address names."""
+    """Return the custom factory that an address names."""
     name = address.partition("=")[0]
     return import_factory(name, f"driver {name}", FACTORY)
 
 
 def _plugin(address: str, robot_id: int) -> Link:
-    """What a factory of one's own makes."""
+    """Return the link that a custom factory makes."""
     name, _, text = address.partition("=")
     where = f"driver {name}"
     factory = _factory_of(address)

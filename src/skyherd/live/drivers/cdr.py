@@ -1,6 +1,6 @@
-"""The two messages of ROS 2 that drive robots, as bytes: CDR of XCDR1, little-endian.
+"""Serialization of two ROS 2 messages, Twist and TwistStamped, in little-endian CDR (XCDR1).
 
-A value of n bytes lies at a multiple of n, counted from behind the four bytes of the encapsulation.
+A value of n bytes is aligned to a multiple of n, counted from the end of the 4-byte encapsulation header.
 """
 
 import struct
@@ -8,21 +8,21 @@ import struct
 from skyherd.live.drivers.link import Motion
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-"""Encapsulation: plain CDR, little-endian, no options. *Defined* by the specification of DDS' wire format."""
+"""Encapsulation: plain CDR, little-endian, no options. *Defined* by the DDS wire format."""
 
 
 def twist(motion: Motion) -> bytes:
-    """`geometry_msgs/msg/Twist`: linear and angular velocity, three numbers each."""
+    """Return a motion as `geometry_msgs/msg/Twist`: linear and angular velocity, three numbers each."""
     return LITTLE_ENDIAN + _velocities(motion)
 
 
 def twist_stamped(motion: Motion, stamp_ns: int, frame_id: str) -> bytes:
-    """`geometry_msgs/msg/TwistStamped`: a header, and then a twist.
+    """Return a motion as `geometry_msgs/msg/TwistStamped`: a header, and then a twist.
 
     Args:
         motion: the velocity.
         stamp_ns: time since 1970, ns.
-        frame_id: frame that the velocity is in.
+        frame_id: coordinate frame of the velocity.
     """
     seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
     name = frame_id.encode() + b"\0"

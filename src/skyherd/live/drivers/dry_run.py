@@ -1,4 +1,4 @@
-"""The driver that only says what a robot would do."""
+"""Driver that only prints the commands of a robot."""
 
 import sys
 from dataclasses import replace
@@ -8,11 +8,11 @@ from skyherd.live.drivers.link import STILL, Motion
 
 
 class DryRun:
-    """Prints a line when the motion changes.
+    """Link that prints a line when the motion changes.
 
     Args:
         robot_id: the robot.
-        stream: where to; stdout if None.
+        stream: output stream; stdout if None.
     """
 
     def __init__(self, robot_id: int, stream: TextIO | None = None) -> None:
@@ -21,7 +21,7 @@ class DryRun:
         self._last: Motion | None = None
 
     def write(self, motion: Motion) -> None:
-        """See `Link.write`."""
+        """Print a motion that differs from the last one; see `Link.write`."""
         if motion == self._last or (self._last is None and replace(motion, flies=False) == STILL):
             return
         self._last = motion
@@ -29,8 +29,8 @@ class DryRun:
         if motion.flies:
             line += f", left {motion.left_mps:+.3f} m/s, up {motion.up_mps:+.3f} m/s"
         stream = self._stream or sys.stdout
-        stream.write(f"{line}\n")  # in one piece, since other threads write lines too
+        stream.write(f"{line}\n")  # One call: other threads write lines too.
         stream.flush()
 
     def close(self) -> None:
-        """See `Link.close`."""
+        """Do nothing; see `Link.close`."""

@@ -1,4 +1,4 @@
-"""Libraries that only `skyherd[live]` installs."""
+"""Optional libraries of `skyherd[live]`."""
 
 from importlib import import_module
 from typing import Any
@@ -7,15 +7,15 @@ from skyherd.errors import InputError
 
 
 def import_extra(module: str, package: str, where: str) -> Any:
-    """A module of the extra `live`.
+    """Import and return a module of the extra `live`.
 
     Args:
-        module: its name.
-        package: what it is called in the registry.
-        where: what a complaint calls whoever needs it.
+        module: name of the module.
+        package: name of its package in the registry.
+        where: location in the error message, such as the driver that needs the module.
 
     Raises:
-        InputError: it is not installed.
+        InputError: the package is not installed.
     """
     try:
         return import_module(module)

@@ -1,4 +1,4 @@
-"""Caps on speed, turn and acceleration that hold whatever comes in."""
+"""Limits of speed, turn rate and acceleration, for any input."""
 
 import math
 from dataclasses import dataclass
@@ -7,22 +7,22 @@ from skyherd.live.drivers.link import STILL, Motion
 from skyherd.messages.checks import check_numbers
 
 MAX_STEP_S = 0.2
-"""Time that passed between two commands counts as no more than this, s. *Chosen*: four times the usual
-interval; after a pause a robot speeds up no faster than otherwise."""
+"""Largest time step between two commands for the acceleration limit, s. *Chosen*: four usual intervals, so
+that a pause does not permit a jump in speed."""
 
 
 @dataclass(frozen=True)
 class SpeedLimits:
-    """What a robot may be told at most.
+    """Limits of the commands to a robot.
 
     Attributes:
-        speed_mps: greatest speed in each direction, m/s.
-        turn_radps: greatest turn rate, rad/s.
-        acceleration_mps2: greatest growth of a speed, m/s².
-        turn_acceleration_radps2: greatest growth of the turn rate, rad/s².
+        speed_mps: largest speed in each direction, m/s.
+        turn_radps: largest turn rate, rad/s.
+        acceleration_mps2: largest increase of a speed, m/s².
+        turn_acceleration_radps2: largest increase of the turn rate, rad/s².
 
     Raises:
-        InputError: one of them is not above 0.
+        InputError: a limit is not above 0.
     """
 
     speed_mps: float = 0.3
@@ -36,18 +36,18 @@ class SpeedLimits:
 
 
 LIMITS = SpeedLimits()
-"""Limits where none are named. *Chosen*: what small indoor robots do."""
+"""Default limits. *Chosen*: usual for small indoor robots."""
 
 
 class Limiter:
-    """Brings one motion after the other within limits.
+    """Limiter of a sequence of motions.
 
-    A speed that is too high is cut to the limit. Away from zero it changes by no more than the acceleration
-    times the time that passed; towards zero it may change at once, since stopping is always allowed; so a
-    change of direction begins at zero. A motion with anything that is not a finite number is no motion: zero.
+    It clips speeds to the limit. The magnitude of a speed grows by at most acceleration times elapsed time.
+    It may decrease at once, since stopping is always allowed, so that a change of direction starts at zero. A
+    motion with a value that is not a finite number becomes zero.
 
     Args:
-        limits: to be held.
+        limits: the limits.
     """
 
     def __init__(self, limits: SpeedLimits) -> None:
@@ -55,11 +55,11 @@ class Limiter:
         self.last = STILL
 
     def limit(self, motion: Motion, passed_s: float) -> Motion:
-        """The motion that is allowed instead, which the next one starts from.
+        """Return the limited motion, from which the next one starts.
 
         Args:
-            motion: what is wanted; its numbers may be anything.
-            passed_s: time since the last call; anything below 0 or not a number counts as 0.
+            motion: requested motion, with arbitrary values.
+            passed_s: time since the last call; negative values and NaN count as 0.
         """
         wanted = [motion.forward_mps, motion.left_mps, motion.up_mps, motion.turn_radps]
         if not all(_is_finite(value) for value in wanted):
@@ -85,7 +85,7 @@ def _is_finite(value: object) -> bool:
 
 
 def _limited(wanted: float, last: float, most: float, growth: float) -> float:
-    """A speed within ±most whose size exceeds that of the last, if of its sign, by no more than growth."""
+    """Return a speed within ±most whose magnitude exceeds the last one of its sign by at most `growth`."""
     before = abs(last) if (last > 0) == (wanted > 0) else 0.0
     size = min(abs(wanted), most, before + growth)
     return float(math.copysign(size, wanted)) if size else 0.0

@@ -2,9 +2,9 @@ r"""Lines of text for robots with a microcontroller, over a serial port or UDP.
 
     V,3,17,0.1250,-0.4000*4C\n
 
-is the robot, the number of the line (it shows losses, and goes from 65535 to 0), the speed ahead in m/s and
-the turn rate in rad/s, counter-clockwise; behind the star the exclusive or of all bytes before it, in two
-hexadecimal digits. For a unit that flies the line is `F,robot,number,ahead,left,up,turn*HH`.
+contains the robot, the line number (it wraps from 65535 to 0, and reveals losses), the forward speed in m/s
+and the turn rate in rad/s, counter-clockwise. After the star follows the exclusive or of all bytes before it,
+in two hexadecimal digits. The line of a flying unit is `F,robot,number,forward,left,up,turn*HH`.
 """
 
 import socket
@@ -18,20 +18,20 @@ from skyherd.live.drivers.extras import import_extra
 from skyherd.live.drivers.link import Motion
 
 BAUD = 115200
-"""Speed of a serial port where none is named, bit/s. *Chosen*: usual, and a line takes 3 ms."""
+"""Default speed of a serial port, bit/s. *Chosen*: usual, and a line takes 3 ms."""
 
 WRITE_S = 0.2
-"""How long a line may take to leave, s. *Chosen*: what `Link.write` allows."""
+"""Timeout of writing a line, s. *Chosen*: the limit of `Link.write`."""
 
 WAITING_BYTES = 64
-"""With more than this still waiting to leave, a line is dropped. *Chosen*: about two lines."""
+"""Bytes in the output buffer above which a line is dropped. *Chosen*: about two lines."""
 
 MAX_BAUD = 100_000_000
-"""Greatest speed of a serial port, bit/s. *Chosen*: beyond any."""
+"""Largest speed of a serial port, bit/s. *Chosen*: above any real one."""
 
 
 class UdpPlace(NamedTuple):
-    """Where packets go."""
+    """Destination of UDP packets."""
 
     host: str
     port: int
@@ -45,11 +45,11 @@ class SerialPlace(NamedTuple):
 
 
 def udp_place(address: str, robot_id: int) -> UdpPlace:
-    """The host and port of `udp://host:port`; the robot's number is not needed.
+    """Return the host and port of `udp://host:port`. `robot_id` is not used.
 
     Raises:
-        InputError: one of them is missing.
-        ValueError: the port is none.
+        InputError: the host or the port is missing.
+        ValueError: the port is invalid.
     """
     parts = urlsplit(address)
     if not parts.hostname or not parts.port:
@@ -58,10 +58,12 @@ def udp_place(address: str, robot_id: int) -> UdpPlace:
 
 
 def serial_place(address: str, robot_id: int) -> SerialPlace:
-    """The port of `serial:///dev/ttyACM0?baud=57600`, there or not; the robot's number is not needed.
+    """Return the port and speed of `serial:///dev/ttyACM0?baud=57600`. `robot_id` is not used.
+
+    The port need not exist.
 
     Raises:
-        InputError: it names no port, an option that is not known, or a speed that is none.
+        InputError: the port is missing, an option is unknown, or the speed is invalid.
     """
     parts, where, example = urlsplit(address), f"driver {address}", "serial:///dev/ttyUSB0?baud=115200"
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
@@ -76,7 +78,7 @@ def serial_place(address: str, robot_id: int) -> SerialPlace:
 
 
 def line_of(robot_id: int, number: int, motion: Motion) -> bytes:
-    """A motion as a line, its end included; `number` counts the lines."""
+    """Return a motion as a line with its line end. `number` counts the lines."""
     speeds = [motion.forward_mps, motion.turn_radps]
     if motion.flies:
         speeds = [motion.forward_mps, motion.left_mps, motion.up_mps, motion.turn_radps]
@@ -86,14 +88,14 @@ def line_of(robot_id: int, number: int, motion: Motion) -> bytes:
 
 
 class UdpLines:
-    """Sends each line as a packet.
+    """Link that sends each line as a UDP packet.
 
     Args:
         address: `udp://host:port`.
         robot_id: the robot.
 
     Raises:
-        InputError: there is no such host, or the address has no port.
+        InputError: the host is unknown, or the address has no port.
     """
 
     def __init__(self, address: str, robot_id: int) -> None:
@@ -109,17 +111,17 @@ class UdpLines:
             raise InputError(f"driver {address}", _words(error), "udp://192.168.1.23:9000") from None
 
     def write(self, motion: Motion) -> None:
-        """See `Link.write`."""
+        """Send a motion as a packet; see `Link.write`."""
         self._socket.send(line_of(self._robot, self._number, motion))
         self._number += 1
 
     def close(self) -> None:
-        """See `Link.close`."""
+        """Close the socket; see `Link.close`."""
         self._socket.close()
 
 
 class SerialLines:
-    """Writes lines to a serial port, which is opened again if it was unplugged.
+    """Link that writes lines to a serial port, and reopens it after a failure.
 
     Args:
         address: `serial:///dev/ttyUSB0`, `serial:///dev/ttyACM0?baud=57600`.
@@ -136,18 +138,18 @@ class SerialLines:
         try:
             self._port: Any = self._open()
         except (OSError, ValueError) as error:
-            raise InputError(f"driver {address}", _words(error), "a serial port that is there") from None
+            raise InputError(f"driver {address}", _words(error), "an existing serial port") from None
 
     def _open(self) -> Any:
         return self._serial.Serial(self._path, self._baud, write_timeout=WRITE_S, exclusive=True)
 
     def write(self, motion: Motion) -> None:
-        """See `Link.write`."""
+        """Write a motion as a line; see `Link.write`."""
         try:
             if self._port is None:
                 self._port = self._open()
             if self._port.out_waiting > WAITING_BYTES:
-                raise OSError("the port takes nothing")
+                raise OSError("the output buffer of the port is full")
             self._port.write(line_of(self._robot, self._number, motion))
             self._number += 1
         except OSError:
@@ -155,7 +157,7 @@ class SerialLines:
             raise
 
     def close(self) -> None:
-        """See `Link.close`."""
+        """Close the port; see `Link.close`."""
         if self._port is not None:
             port, self._port = self._port, None
             port.close()

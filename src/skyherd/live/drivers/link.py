@@ -1,4 +1,4 @@
-"""What drivers put on the wire, and the interface of everything that does."""
+"""Motions of robots, and the interface of links that transmit them."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -6,15 +6,14 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Motion:
-    """Velocity of one body in its own frame: x ahead, y to the left, z up. Robots on wheels use two of four.
+    """Velocity of one body in its own frame: x forward, y left, z up. Wheeled robots use two of four values.
 
     Attributes:
-        forward_mps: ahead.
-        turn_radps: counter-clockwise seen from above.
-        left_mps: to the left; flying units only.
-        up_mps: upwards; flying units only.
-        flies: whether it is a flying unit's, which is sent four speeds, also to stop; a robot on wheels is
-            sent two.
+        forward_mps: forward speed.
+        turn_radps: turn rate, counter-clockwise seen from above.
+        left_mps: speed to the left; flying units only.
+        up_mps: climb rate; flying units only.
+        flies: True for a flying unit, which receives four speeds, also to stop; a wheeled robot receives two.
     """
 
     forward_mps: float
@@ -25,28 +24,28 @@ class Motion:
 
 
 STILL = Motion(0.0, 0.0)
-"""To stand still."""
+"""Motion of a robot that stands still."""
 
 
 class Link(Protocol):
-    """Where motions are written to: one robot, over one transport. All calls come from one thread.
+    """Connection to one robot over one transport. All calls come from one thread.
 
     Attributes:
-        name: what complaints call it; no password in it.
+        name: name in error messages, without a password.
     """
 
     name: str
 
     def write(self, motion: Motion) -> None:
-        """Send a motion, now or not at all: nothing may be kept to be sent later.
+        """Send a motion at once or discard it: a delayed command would be stale.
 
-        It may wait for some tenths of a second at most.
+        It may block for at most a few tenths of a second.
 
         Raises:
-            OSError: it could not be sent; the driver says so, and tries the next one.
+            OSError: the motion could not be sent. The driver reports it and continues with the next motion.
         """
         ...
 
     def close(self) -> None:
-        """Close what is open, once what was written is out. It is called once, after the last `write`."""
+        """Send pending data and close the connection. Called once, after the last `write`."""
         ...

@@ -1,10 +1,11 @@
-"""Motions as JSON, to a broker of MQTT.
+"""Motions as JSON, sent to an MQTT broker.
 
     topic  skyherd/robots/3/cmd_vel
     {"robot": 3, "number": 17, "forward_mps": 0.125, "turn_radps": -0.4}
 
-with `left_mps` and `up_mps` for units that fly. Quality of service 0, not retained: an old command is worth
-nothing. The broker itself sends zero (the "last will") if the connection breaks without a farewell.
+with `left_mps` and `up_mps` for flying units. Messages have quality of service 0 and are not retained, since
+stale commands must not be delivered. The last will is a zero command: the broker sends it if the connection
+breaks without a disconnect message.
 """
 
 import json
@@ -20,29 +21,28 @@ from skyherd.live.drivers.extras import import_extra
 from skyherd.live.drivers.link import STILL, Motion
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
-"""The broker's port where none is named. *Defined* by MQTT."""
+"""Default ports of the broker, by scheme. *Defined* by MQTT."""
 
 TOPIC = "skyherd/robots/{robot}/cmd_vel"
-"""The topic where none is named."""
+"""Default topic."""
 
 CONNECT_S = 4.0
-"""How long the broker may take to answer at the start, s. *Chosen*."""
+"""Timeout of the connection to the broker, s. *Chosen*."""
 
 KEEP_ALIVE_S = 5
-"""After one and a half times this without a word the broker gives us up and sends the last will, s.
-*Chosen*: the robot has stopped by itself long before."""
+"""Keep-alive period, s; after 1.5 periods of silence the broker sends the last will. *Chosen*: the robot's
+watchdog has stopped it long before."""
 
 WRITE_S, POLL_S = 0.2, 0.005
-"""How long a message may take to leave, and how often that is looked at, s. *Chosen*: what `Link.write`
-allows."""
+"""Timeout of sending a message and its polling period, s. *Chosen*: the limit of `Link.write`."""
 
 SEND_BUFFER_BYTES = 4096
-"""Buffer of the connection on our side. *Chosen*: some twenty commands. While it is full, new ones are
-dropped. What the broker's machine has taken is passed on late, in order; a robot needs a time-out too."""
+"""Size of the socket's send buffer, bytes. *Chosen*: about twenty commands; while it is full, new ones are
+dropped. The broker may deliver buffered commands late, so a robot needs its own watchdog."""
 
 
 def payload_of(robot_id: int, number: int, motion: Motion) -> bytes:
-    """A motion as JSON; `number` counts the messages."""
+    """Return a motion as JSON. `number` counts the messages."""
     values = {"robot": robot_id, "number": number}
     speeds = {"forward_mps": motion.forward_mps, "turn_radps": motion.turn_radps}
     if motion.flies:
@@ -51,10 +51,13 @@ def payload_of(robot_id: int, number: int, motion: Motion) -> bytes:
 
 
 class Broker(NamedTuple):
-    """A broker, and the topic there.
+    """A broker and the topic of the commands.
 
     Attributes:
-        name: the address without user, password and options.
+        name: address without user, password and options.
+        host: host of the broker.
+        port: TCP port of the broker.
+        topic: topic of the commands.
     """
 
     name: str
@@ -64,11 +67,11 @@ class Broker(NamedTuple):
 
 
 def broker_of(address: str, robot_id: int) -> Broker:
-    """The broker and the topic of `mqtt://user:password@host:1883/topic`.
+    """Return the broker and the topic of `mqtt://user:password@host:1883/topic`.
 
     Raises:
-        InputError: it names no host, or a topic that none may publish on.
-        ValueError: the port is none.
+        InputError: the host is missing, or the topic has wildcards.
+        ValueError: the port is invalid.
     """
     parts = urlsplit(address)
     name = f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"
@@ -83,7 +86,7 @@ def broker_of(address: str, robot_id: int) -> Broker:
 
 
 class Mqtt:
-    """Publishes motions to a broker; the connection is made again when it breaks.
+    """Link that publishes motions to a broker, and reconnects after a failure.
 
     Args:
         address: `mqtt://host`, `mqtts://user:password@host:8883/topic?ca=broker.pem`.
@@ -119,14 +122,14 @@ class Mqtt:
         if not self._answered.wait(CONNECT_S) or self._refusal:
             self._client.loop_stop()
             why = f"refused: {self._refusal}" if self._refusal else f"no answer within {CONNECT_S:g} s"
-            raise InputError(self._where, why, "a broker of MQTT, and its user and password")
+            raise InputError(self._where, why, "an MQTT broker, with its user and password")
 
     def _on_connect(self, client: Any, user: Any, flags: Any, reason: Any, properties: Any) -> None:
         self._refusal = str(reason) if reason.is_failure else ""
         self._answered.set()
 
     def write(self, motion: Motion) -> None:
-        """See `Link.write`."""
+        """Publish a motion; see `Link.write`."""
         if not self._client.is_connected():
             raise OSError("no connection to the broker")
         self._drain()
@@ -134,20 +137,20 @@ class Mqtt:
         self._number += 1
 
     def _drain(self) -> None:
-        """Wait until what was published before is out; OSError if it is not."""
+        """Wait until earlier messages are sent. Raise OSError after `WRITE_S`."""
         ends_s = time.monotonic() + WRITE_S
         while self._client.want_write():
             if time.monotonic() >= ends_s:
-                raise OSError("the broker takes nothing")
+                raise OSError("the broker accepts no data")
             time.sleep(POLL_S)
 
     def close(self) -> None:
-        """See `Link.close`."""
+        """Send pending messages and disconnect; see `Link.close`."""
         try:
             self._drain()
             self._client.disconnect()
         except OSError:
-            pass  # without a farewell, so that the broker sends the last will
+            pass  # No disconnect message, so that the broker sends the last will.
         finally:
             self._client.loop_stop()
 

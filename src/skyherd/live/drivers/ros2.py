@@ -1,16 +1,16 @@
-"""Twist and TwistStamped for ROS 2, over Zenoh as `rmw_zenoh_cpp` speaks it, without an installation of ROS.
+"""Twist and TwistStamped for ROS 2 over Zenoh, compatible with `rmw_zenoh_cpp`, without a ROS installation.
 
 Data go to the key expression
 
     <domain>/<topic>/<type>/<hash of the type>
 
-with an attachment of 33 bytes: number of the message and time since 1970 in ns, 8 bytes each, little-endian;
-the length 16; and 16 bytes that identify the publisher. Two liveliness tokens tell ROS of node and publisher:
+with an attachment of 33 bytes: message number and time since 1970 in ns, 8 bytes each, little-endian; the
+length 16; and 16 bytes that identify the publisher. Two liveliness tokens announce node and publisher:
 
     @ros2_lv/<domain>/<session>/<node>/<node>/NN/%/<namespace>/<name>
     @ros2_lv/<domain>/<session>/<node>/<publisher>/MP/%/<namespace>/<name>/<topic>/<type>/<hash>/<quality>
 
-in which slashes of names are written as `%`. This is the form since ROS 2 Jazzy.
+where `%` replaces the slashes of names. ROS 2 uses this form since Jazzy.
 """
 
 import json
@@ -31,48 +31,47 @@ from skyherd.live.drivers.extras import import_extra
 from skyherd.live.drivers.link import Motion
 
 PORT = 7447
-"""The router's port where none is named. *Defined* by Zenoh."""
+"""Default port of the router. *Defined* by Zenoh."""
 
 HASHES = {
     "Twist": "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
     "TwistStamped": "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
 }
-"""By type, the hash of its definition. *Derived* from the definitions of geometry_msgs by REP 2016;
-a test derives them again."""
+"""Hash of the definition of each type. *Derived* from geometry_msgs by REP 2016, as a test verifies."""
 
 QUALITY = "::,1:,:,:,,"
-"""Quality of service as the tokens have it, what is empty being the default: reliable, volatile, keep the
-last one. A robot is to know the newest command, and no other."""
+"""Quality of service in the tokens: reliable, volatile, keep the last one. Empty fields are defaults.
+*Chosen*: a robot needs only the newest command."""
 
 NODE_ID, PUBLISHER_ID = 0, 1
-"""Numbers of node and publisher in their session, which has no others."""
+"""Ids of the node and the publisher within their session."""
 
 GID_BYTES = 16
-"""Bytes that identify a publisher. *Defined* by ROS 2."""
+"""Length of a publisher's id, bytes. *Defined* by ROS 2."""
 
 CONNECT_MS = 4000
-"""How long the router may take to answer at the start, ms. *Chosen*."""
+"""Timeout of the connection to the router, ms. *Chosen*."""
 
 MAX_CONFIG_BYTES = 2**20
-"""Size of the largest configuration of Zenoh that is read. *Chosen*: far beyond any."""
+"""Size of the largest accepted Zenoh configuration, bytes. *Chosen*: far above any real one."""
 
 NAME = re.compile(r"[A-Za-z_]\w*")
-"""Part of a name in ROS."""
+"""Pattern of one part of a ROS name."""
 
 KEYS = ("type", "domain", "frame", "node", "config")
-"""What may stand behind the question mark of an address."""
+"""Options of an address, after its question mark."""
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of ROS 2 that twists are published on.
+    """A ROS 2 topic of twists.
 
     Attributes:
-        name: with its namespace, without a leading slash: `robot3/cmd_vel`.
+        name: name with namespace, without a leading slash: `robot3/cmd_vel`.
         kind: `Twist` or `TwistStamped`.
         domain: ROS_DOMAIN_ID.
         node: name of our node.
-        frame: frame of stamped twists.
+        frame: coordinate frame of stamped twists.
     """
 
     name: str
@@ -83,7 +82,7 @@ class Topic:
 
     @property
     def type_name(self) -> str:
-        """The type as DDS calls it."""
+        """DDS name of the type."""
         return f"geometry_msgs::msg::dds_::{self.kind}_"
 
     @property
@@ -92,11 +91,11 @@ class Topic:
         return f"{self.domain}/{self.name}/{self.type_name}/{HASHES[self.kind]}"
 
     def node_token(self, session: str) -> str:
-        """Liveliness token of the node; `session` is Zenoh's id of our session."""
+        """Return the liveliness token of the node. `session` is the Zenoh id of our session."""
         return f"@ros2_lv/{self.domain}/{session}/{NODE_ID}/{NODE_ID}/NN/%/%/{self.node}"
 
     def publisher_token(self, session: str) -> str:
-        """Liveliness token of the publisher."""
+        """Return the liveliness token of the publisher."""
         mangled = "%" + self.name.replace("/", "%")
         return (
             f"@ros2_lv/{self.domain}/{session}/{NODE_ID}/{PUBLISHER_ID}/MP/%/%/{self.node}/"
@@ -104,28 +103,31 @@ class Topic:
         )
 
     def message(self, motion: Motion, stamp_ns: int) -> bytes:
-        """A motion as the topic's message, stamped with a time since 1970, ns."""
+        """Return a motion as the topic's message, stamped with a time since 1970, ns."""
         return twist(motion) if self.kind == "Twist" else twist_stamped(motion, stamp_ns, self.frame)
 
 
 def attachment(number: int, stamp_ns: int, gid: bytes) -> bytes:
-    """What goes along with message `number`, from 1: the time, ns, and who published it (16 bytes)."""
+    """Return the attachment of message `number`, from 1: time, ns, and publisher id (16 bytes)."""
     return struct.pack("<qqB", number, stamp_ns, GID_BYTES) + gid
 
 
 def topic_of(address: str, robot_id: int) -> Topic:
-    """The topic of `ros2://host:7447/robot3/cmd_vel?type=TwistStamped&domain=7&frame=base_link&node=name`.
+    """Return the topic of an address.
+
+    The address has the form
+    `ros2://host:7447/robot3/cmd_vel?type=TwistStamped&domain=7&frame=base_link&node=name`.
 
     Raises:
-        InputError: a name, number or type that cannot be.
-        ValueError: the port is none.
+        InputError: a name, number or type is invalid.
+        ValueError: the port is invalid.
     """
     parts, where = urlsplit(address), f"driver {address}"
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     if unknown := sorted(set(options) - set(KEYS)):
         raise InputError(where, f"option {unknown[0]!r}", f"of {', '.join(KEYS)}")
     name, kind = parts.path.strip("/") or "cmd_vel", options.get("type", "Twist")
-    _ = parts.port  # which raises where it is none
+    _ = parts.port  # Raises ValueError for an invalid port.
     domain, node = options.get("domain", "0"), options.get("node", f"skyherd_robot_{robot_id}")
     if kind not in HASHES:
         raise InputError(where, f"type {kind!r}", "Twist or TwistStamped")
@@ -137,16 +139,16 @@ def topic_of(address: str, robot_id: int) -> Topic:
 
 
 class Ros2:
-    """Publishes twists for a robot with ROS 2.
+    """Link that publishes twists for a robot with ROS 2.
 
     Args:
-        address: see `topic_of`. The host is that of Zenoh's router (`ros2 run rmw_zenoh_cpp rmw_zenohd`),
-            this machine if left out; `?config=zenoh.json5` reads Zenoh's own configuration, for TLS.
+        address: see `topic_of`. The host runs the Zenoh router (`ros2 run rmw_zenoh_cpp rmw_zenohd`); the
+            default is this machine. `?config=zenoh.json5` reads a Zenoh configuration, for TLS.
         robot_id: the robot.
-        now_ns: gives the time since 1970, ns.
+        now_ns: returns the time since 1970, ns.
 
     Raises:
-        InputError: the router does not answer, the address means nothing, or eclipse-zenoh is not installed.
+        InputError: the router does not answer, the address is invalid, or eclipse-zenoh is not installed.
     """
 
     def __init__(self, address: str, robot_id: int, now_ns: Callable[[], int] = time.time_ns) -> None:
@@ -158,7 +160,7 @@ class Ros2:
             self._session = self._zenoh.open(self._configuration(address))
         except InputError:
             raise
-        except Exception as error:  # Zenoh's own class, which derives from Exception alone
+        except Exception as error:  # Zenoh's error class derives directly from Exception.
             words = " ".join(str(error).split()) or "no answer"
             raise InputError(where, f"no router of Zenoh: {words}", "start rmw_zenohd there") from None
         session, alive = str(self._session.zid()), self._session.liveliness()
@@ -172,7 +174,7 @@ class Ros2:
         self._gid, self._number = secrets.token_bytes(GID_BYTES), 0
 
     def _configuration(self, address: str) -> Any:
-        """Zenoh's configuration: a client of one router, that searches nobody else."""
+        """Return the Zenoh configuration of a client of one router, without scouting."""
         parts = urlsplit(address)
         file = dict(parse_qsl(parts.query)).get("config")
         if file:
@@ -192,18 +194,18 @@ class Ros2:
         return configuration
 
     def write(self, motion: Motion) -> None:
-        """See `Link.write`."""
+        """Publish a motion; see `Link.write`."""
         stamp_ns = self._now_ns()
         self._number += 1
         try:
             self._publisher.put(
                 self.topic.message(motion, stamp_ns), attachment=attachment(self._number, stamp_ns, self._gid)
             )
-        except Exception as error:  # Zenoh's own class
+        except Exception as error:  # Zenoh's error class derives directly from Exception.
             raise OSError(" ".join(str(error).split())) from None
 
     def close(self) -> None:
-        """See `Link.close`."""
+        """Withdraw the tokens and close the session; see `Link.close`."""
         for token in self._tokens:
             token.undeclare()
         self._publisher.undeclare()

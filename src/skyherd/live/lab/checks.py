@@ -1,56 +1,53 @@
 """What the keys of a lab file have to keep together, and those whose values are names of something."""
 
 import re
+from collections.abc import Iterator, Mapping
 
-from skyherd.errors import InputError
+from skyherd.datasets import check_obstacle_ids, locate
+from skyherd.errors import InputError, join_errors
 from skyherd.live.drivers import check_driver
 from skyherd.live.lab.models import TEAM_PATTERN, LabModel
-from skyherd.markers.dictionary import dictionary_names, dictionary_size
+from skyherd.markers.dictionary import dictionary_size
+from skyherd.text import one_of
 from skyherd.vision import detector_names
 
+Problem = tuple[str, str, str]
+"""Dotted key, what is wrong with its value, and what is allowed."""
 
-def check_model(model: LabModel, where: str) -> None:
+
+def check_model(model: LabModel, where: str, origins: Mapping[str, str] | None = None) -> None:
     """Check what the types of a lab's keys leave open.
 
     Args:
         model: the lab.
         where: the file, or what to call it.
+        origins: options that gave values, by dotted key, to name them as the places of problems.
 
     Raises:
-        InputError: in one line, the file, the key, the value, and what is allowed.
+        InputError: a line for each problem: the file or the option, the key, the value, and what is allowed.
     """
-    if not re.fullmatch(TEAM_PATTERN, model.team):
-        raise InputError(
-            f"{where}: team", repr(model.team), "1 to 40 letters, digits, _ and -, of which the first is no -"
-        )
-    limits = model.limits
-    if limits.goal_timeout_s < 2 * limits.period_s:
-        raise InputError(
-            f"{where}: limits.goal_timeout_s",
-            f"{limits.goal_timeout_s:g}",
-            f"at least two period_s, which is {2 * limits.period_s:g}",
-        )
-    for unit, camera in enumerate(model.cameras):
-        if camera.detector not in detector_names():
-            raise InputError(
-                f"{where}: cameras.{unit}.detector",
-                f"no detector {camera.detector!r}",
-                f"one of {', '.join(detector_names())}",
-            )
-    _check_markers(model, where)
-    _check_shape(model, where)
+    problems = [
+        InputError(locate(where, key, origins or {}), what, allowed)
+        for check in CHECKS
+        for key, what, allowed in check(model)
+    ]
+    if problems:
+        raise join_errors(problems)
 
 
-def check_drivers(model: LabModel, where: str, *, imports: bool = False) -> None:
+def check_drivers(
+    model: LabModel, where: str, *, imports: bool = False, origins: Mapping[str, str] | None = None
+) -> None:
     """Check the addresses of all drivers as far as that needs no hardware and no network.
 
     Args:
         model: the lab.
         where: the file, or what to call it.
         imports: also import factories of one's own, which have to be on this machine then.
+        origins: options that gave values, by dotted key, to name them as the places of problems.
 
     Raises:
-        InputError: one is none that a driver can have.
+        InputError: an address is not one that a driver can have; the error has a line for each.
     """
     addresses = [(f"robots.{index}", robot.id, robot.driver) for index, robot in enumerate(model.robots)]
     addresses += [
@@ -58,50 +55,92 @@ def check_drivers(model: LabModel, where: str, *, imports: bool = False) -> None
         for unit, camera in enumerate(model.cameras)
         if camera.driver is not None
     ]
+    problems = []
     for entry, number, address in addresses:
         try:
             check_driver(address, number, imports=imports)
         except InputError as error:
             shown = error.where.removeprefix("driver").strip()
-            place = f"{where}: {entry}.driver" + (f": {shown}" if shown else "")
-            raise InputError(place, error.what, error.allowed) from None
+            place = locate(where, f"{entry}.driver", origins or {}) + (f": {shown}" if shown else "")
+            problems.append(InputError(place, error.what, error.allowed))
+    if problems:
+        raise join_errors(problems)
 
 
-def _check_markers(model: LabModel, where: str) -> None:
-    """Whether there is such a dictionary, and a marker of it for each robot."""
+def _name_problems(model: LabModel) -> Iterator[Problem]:
+    """Whether the team has a name that topics can have."""
+    if not re.fullmatch(TEAM_PATTERN, model.team):
+        yield "team", repr(model.team), "1 to 40 letters, digits, _ and -; the first is not -"
+
+
+def _limit_problems(model: LabModel) -> Iterator[Problem]:
+    """Whether goals live for at least two commands."""
+    limits = model.limits
+    if limits.goal_timeout_s < 2 * limits.period_s:
+        allowed = f"at least two period_s, which is {2 * limits.period_s:g}"
+        yield "limits.goal_timeout_s", f"{limits.goal_timeout_s:g}", allowed
+
+
+def _detector_problems(model: LabModel) -> Iterator[Problem]:
+    """Whether there are such detectors."""
+    names = detector_names()
+    for unit, camera in enumerate(model.cameras):
+        if camera.detector not in names:
+            what = f"no detector {camera.detector!r}"
+            yield f"cameras.{unit}.detector", what, one_of(camera.detector, names)
+
+
+def _robot_problems(model: LabModel) -> Iterator[Problem]:
+    """Whether the dictionary has a marker for each robot, and each robot its own."""
     dictionary = model.markers.dictionary
-    if dictionary not in dictionary_names():
-        raise InputError(
-            f"{where}: markers.dictionary",
-            f"no dictionary {dictionary!r}",
-            f"one of {', '.join(dictionary_names())}",
-        )
     size, seen = dictionary_size(dictionary), set[int]()
     for index, robot in enumerate(model.robots):
         if robot.id >= size:
-            raise InputError(
-                f"{where}: robots.{index}.id",
-                f"{dictionary} has no marker {robot.id}",
-                f"0 to {size - 1}, or a larger dictionary in markers.dictionary",
-            )
+            allowed = f"0 to {size - 1}, or a larger dictionary in markers.dictionary"
+            yield f"robots.{index}.id", f"{dictionary} has no marker {robot.id}", allowed
         if robot.id in seen:
-            raise InputError(
-                f"{where}: robots.{index}.id",
-                f"{robot.id} is there twice",
-                "each robot its own marker",
-            )
+            yield f"robots.{index}.id", f"{robot.id} is there twice", "each robot its own marker"
         seen.add(robot.id)
 
 
-def _check_shape(model: LabModel, where: str) -> None:
-    """Whether the shape is given once, and points for all robots if by points."""
+def _shape_problems(model: LabModel) -> Iterator[Problem]:
+    """Whether the shape is given once, and has a point for each robot."""
     shape, robots = model.shape, len(model.robots)
     if (shape.shape is None) == (shape.points is None):
         both = "neither shape nor points" if shape.shape is None else "both shape and points"
-        raise InputError(f"{where}: shape", both, "give exactly one of shape and points")
-    if shape.points is not None and len(shape.points) != robots:
-        raise InputError(
-            f"{where}: shape.points",
-            f"{len(shape.points)} points for {robots} robots",
-            "a point for each",
-        )
+        yield "shape", both, "give exactly one of shape and points"
+    elif shape.points is not None and len(shape.points) != robots:
+        yield "shape.points", f"{len(shape.points)} points for {robots} robots", "a point for each"
+
+
+def _body_problems(model: LabModel) -> Iterator[Problem]:
+    """Check obstacles, and that the bound on robots' speed holds with the other keys."""
+    avoidance, dictionary = model.avoidance, model.markers.dictionary
+    ids = [robot.id for robot in model.robots]
+    try:
+        size = dictionary_size(dictionary)
+        check_obstacle_ids(model.obstacles, ids, size, dictionary, "markers.dictionary")
+    except InputError as error:
+        yield error.where, error.what, error.allowed
+    if not avoidance.on:
+        return
+    if avoidance.body_radius_sides <= 0:
+        allowed = "the radius of the robots' bodies, in marker sides"
+        yield "avoidance.body_radius_sides", "0 with avoidance.on", allowed
+    if avoidance.lifetime_s < model.limits.goal_timeout_s:
+        allowed = f"at least limits.goal_timeout_s, which is {model.limits.goal_timeout_s:g}"
+        yield "avoidance.lifetime_s", f"{avoidance.lifetime_s:g}", allowed
+    if model.control.axis_offset_m:
+        what = f"{model.control.axis_offset_m:g} with avoidance.on"
+        yield "control.axis_offset_m", what, "0, the marker above the wheel axis; or avoidance.on = false"
+
+
+CHECKS = (
+    _name_problems,
+    _limit_problems,
+    _detector_problems,
+    _robot_problems,
+    _shape_problems,
+    _body_problems,
+)
+"""The checks of a lab, in the order of their problems."""

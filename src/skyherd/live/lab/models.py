@@ -5,7 +5,17 @@ from typing import Annotated
 
 from pydantic import Field, FiniteFloat
 
-from skyherd.datasets import FlightModel, Model, Point, SelectionModel, SizeModel
+from skyherd.datasets import (
+    AvoidanceModel,
+    DictionaryName,
+    FlightModel,
+    Model,
+    ObstacleMarkerModel,
+    Point,
+    SelectionModel,
+    SizeModel,
+    WheelsModel,
+)
 from skyherd.errors import InputError
 
 MAX_ROBOTS = 1000
@@ -33,14 +43,16 @@ class LabShape(Model):
     points: list[Point] | None = Field(
         None, max_length=MAX_ROBOTS, description="a point (x right, y up) for each robot, in any unit"
     )
-    size: SizeModel = Field(SizeModel(), description="how large the shape becomes")
-    exchange: bool = Field(False, description="whether robots exchange their places for shorter ways")
+    size: SizeModel = Field(SizeModel(), description="size of the shape")
+    exchange: bool = Field(False, description="whether robots exchange their places for shorter paths")
 
 
 class LabMarkers(Model):
     """The printed markers."""
 
-    dictionary: str = Field("4X4_50", description="marker dictionary, as in `skyherd markers --help`")
+    dictionary: DictionaryName = Field(
+        "4X4_50", description="marker dictionary, named as in `skyherd markers --help` or in OpenCV"
+    )
     side_m: Annotated[FiniteFloat, Field(ge=0.001, le=10)] = Field(
         description="m; side of the black square, measured on the print"
     )
@@ -54,17 +66,15 @@ class LabCamera(Model):
         "module:factory"
     )
     detector: str = Field("tracking", description="one of `skyherd detect --help`")
-    flight: FlightModel | None = Field(
-        None, description="how it flies; left out for a camera that hangs still"
-    )
-    driver: Text | None = Field(None, description="where its flight commands go; left out: nowhere")
+    flight: FlightModel | None = Field(None, description="law of flight; left out for a fixed camera")
+    driver: Text | None = Field(None, description="address of its flight commands; none if left out")
 
 
 class LabRobot(Model):
     """One robot."""
 
     id: Annotated[int, Field(ge=0, lt=2**31)] = Field(description="its marker")
-    driver: Text = Field("dry-run", description="where its wheel commands go")
+    driver: Text = Field("dry-run", description="address of its wheel commands")
 
 
 class LabControl(Model):
@@ -80,9 +90,11 @@ class LabControl(Model):
         0.05, description="marker sides; robots nearer to their goal than this stop"
     )
     neighbors: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] = Field(
-        3, description="to how many nearest robots a unit sends each robot the distances"
+        3, description="number of nearest robots to which a unit sends each robot the distances"
     )
-    rectify: bool = Field(True, description="learn tilt and lens of the cameras from the markers")
+    rectify: bool = Field(
+        True, description="whether to estimate tilt and lens of the cameras from the markers"
+    )
     axis_offset_m: Annotated[FiniteFloat, Field(ge=-1, le=1)] = Field(
         0.0, description="m; how far ahead of the wheel axis the marker's middle lies"
     )
@@ -101,13 +113,28 @@ class LabLimits(Model):
     goal_timeout_s: Seconds = Field(
         0.6, description="s; age of an image up to which the goal from it is followed"
     )
-    unseen_s: Seconds = Field(1.0, description="s; a marker unseen for so long is outside all images")
-    clock_offset_s: Seconds = Field(1.0, description="s; a clock that is farther off stops robots")
-    clock_uncertainty_s: Seconds = Field(
-        0.1, description="s; a clock that is known no better than this stops robots"
+    unseen_s: Seconds = Field(
+        1.0, description="s; a marker counts as outside all images this long after it was last seen"
     )
+    clock_offset_s: Seconds = Field(1.0, description="s; a larger clock offset stops robots")
+    clock_uncertainty_s: Seconds = Field(0.1, description="s; a larger uncertainty of a clock stops robots")
     period_s: Annotated[FiniteFloat, Field(ge=0.005, le=0.5)] = Field(
         0.05, description="s; longest time between two commands to the wheels"
+    )
+
+
+TLS_PROTOCOLS = ("tls/", "quic/")
+"""Beginnings of Zenoh addresses whose connections use TLS. Defined by Zenoh."""
+
+
+class LabAvoidance(AvoidanceModel):
+    """How robots keep apart from each other and from obstacles."""
+
+    body_radius_sides: Annotated[FiniteFloat, Field(ge=0, le=1000)] = Field(
+        0.0, description="marker sides; radius of the robots' round bodies; above 0 if avoidance is on"
+    )
+    stamp_error_s: Annotated[FiniteFloat, Field(ge=0, le=10)] = Field(
+        0.05, description="s; how much older images may be than their time stamps, by exposure and encoding"
     )
 
 
@@ -132,24 +159,46 @@ class LabRadio(Model):
     @property
     def is_secured(self) -> bool:
         """Whether each place that is not on loopback is reached by TLS with client certificates."""
-        files = self.authority and self.certificate and self.key
         return all(
-            _is_loopback(place) or (place.startswith(("tls/", "quic/")) and bool(files))
+            _is_loopback(place) or (place.startswith(TLS_PROTOCOLS) and self.has_certificates)
             for place in (*self.listen, *self.connect)
         )
+
+    @property
+    def has_certificates(self) -> bool:
+        """Whether all three files for TLS are named."""
+        return bool(self.authority and self.certificate and self.key)
+
+    @property
+    def plain_places(self) -> list[str]:
+        """Addresses to listen on or connect to without TLS."""
+        return [place for place in (*self.listen, *self.connect) if not place.startswith(TLS_PROTOCOLS)]
 
     def check(self, *, insecure: bool) -> None:
         """Refuse a radio that others could listen to or speak on, unless that is asked for.
 
         Raises:
-            InputError: a place is neither on loopback nor reached by TLS with client certificates.
+            InputError: a place is neither on loopback nor reached by TLS with client certificates, a place is
+                plain although certificates are given, or only some of the files for TLS are named.
         """
-        if not self.is_secured and not insecure:
+        if insecure:
+            return
+        if not self.is_secured:
             raise InputError(
                 "radio",
                 "reaches beyond this machine without TLS and client certificates",
-                "tls/ addresses with authority, certificate and key; or --insecure, and anybody on the "
+                "tls/ addresses with authority, certificate and key; or --insecure, and anyone on the "
                 "network can drive the robots",
+            )
+        if self.has_certificates and self.plain_places:
+            raise InputError(
+                "radio",
+                f"{self.plain_places[0]} is not protected by the certificates",
+                "tls/ addresses only in listen and connect; or no certificates; or --insecure",
+            )
+        if any((self.authority, self.certificate, self.key)) and not self.has_certificates:
+            raise InputError(
+                "radio", "files for TLS are missing", "all of authority, certificate and key, or none"
             )
 
 
@@ -157,7 +206,7 @@ class LabRecording(Model):
     """What units record for viewers, beside all that they hear and do."""
 
     image_rate_hz: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
-        1.0, description="1/s; images with what was found in them; 0 for none"
+        1.0, description="1/s; rate of images with their detections; 0 for none"
     )
     image_width_px: Annotated[int, Field(ge=64, le=8192)] = Field(
         640, description="px; larger images are shrunk to this width"
@@ -188,8 +237,17 @@ class LabModel(Model):
     robots: list[LabRobot] = Field(min_length=2, max_length=MAX_ROBOTS, description="the robots")
     control: LabControl = Field(LabControl(), description="the robots' law")
     selection: SelectionModel = Field(
-        SelectionModel(radius=1.2), description="which robots each unit controls"
+        SelectionModel(radius=1.2), description="selection of the robots that each unit controls"
     )
-    limits: LabLimits = Field(LabLimits(), description="what robots may do")
-    radio: LabRadio = Field(LabRadio(), description="how the processes find each other")
-    recording: LabRecording = Field(LabRecording(), description="what units record for viewers")
+    limits: LabLimits = Field(LabLimits(), description="limits of the robots")
+    avoidance: LabAvoidance = Field(LabAvoidance(), description="how robots keep apart")
+    obstacles: list[ObstacleMarkerModel] = Field(
+        default=[], max_length=1000, description="markers of round bodies that stand still"
+    )
+    drive: WheelsModel = Field(
+        WheelsModel(),
+        description="errors of the wheels, and how fast they brake, which avoidance allows for; without "
+        "max_accel_mps2 they brake as fast as limits.max_accel_mps2",
+    )
+    radio: LabRadio = Field(LabRadio(), description="radio between the processes")
+    recording: LabRecording = Field(LabRecording(), description="recording of the units for viewers")

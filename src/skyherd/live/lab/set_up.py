@@ -3,24 +3,38 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from skyherd.assembly import (
+    REPORT_LIFETIME_S,
+    REPORTS_MISSED,
+    make_body_rule,
+    make_flight,
+    make_roles,
+    make_selection,
+    make_size,
+)
 from skyherd.control import (
     AerialController,
+    AvoidanceRule,
     Hover,
     MarkerGains,
     Rectifier,
-    RoleRule,
-    SizeRule,
     TeamClock,
     Template,
     Wheels,
 )
+from skyherd.datasets import RolesModel
 from skyherd.errors import InputError
+from skyherd.live.drivers.driver import HOLD_S, RATE_HZ
 from skyherd.live.drivers.limits import SpeedLimits
 from skyherd.live.lab.models import LabCamera, LabModel, LabRobot
 from skyherd.live.peers import ClockLimits
 from skyherd.live.robot_core import RobotCore, RobotLimits
 from skyherd.live.unit_core import UnitCore
-from skyherd.sim.agents import REPORT_LIFETIME_S, REPORTS_MISSED, make_flight, make_selection
+from skyherd.sim.robot_teams import Timing, make_avoidance_rule
+
+NOMINAL_AGE_SHARE = 0.5
+"""Age of images at which robots are fastest, as a share of `goal_timeout_s`. Chosen: a typical
+age. It has no part in safety."""
 
 
 @dataclass(frozen=True)
@@ -86,8 +100,9 @@ class Lab:
             rectifier=Rectifier() if model.control.rectify else None,
             nearest=model.control.neighbors,
             report_lifetime_s=max(REPORT_LIFETIME_S, REPORTS_MISSED * model.limits.goal_timeout_s),
-            roles=RoleRule(period_s=1.0, gain=0.05, classes=None) if model.shape.exchange else None,
-            size=self._size(),
+            roles=make_roles(RolesModel(exchange=model.shape.exchange)),
+            size=make_size(model.shape.size, self.template, model.markers.side_m),
+            bodies=make_body_rule(model.avoidance, model.avoidance.body_radius_sides, model.obstacles),
             clock=TeamClock(),
         )
 
@@ -104,15 +119,49 @@ class Lab:
             clock_limits=self.clock_limits,
         )
 
-    def _size(self) -> SizeRule:
-        """Bounds on the shape's size, in marker sides."""
-        model = self.model.shape.size
-        if model.unit_m is not None:
-            sides = self.template.spacing_px * model.unit_m / self.model.markers.side_m
-            return SizeRule(sides, sides)
-        if model.spacing_sides is not None:
-            return SizeRule(model.spacing_sides, model.spacing_sides)
-        return SizeRule(model.min_spacing_sides)
+    @property
+    def body_ids(self) -> list[int]:
+        """Markers of robots and obstacles, ascending."""
+        return sorted({*self.ids, *(obstacle.id for obstacle in self.model.obstacles)})
+
+    @property
+    def wheels(self) -> Wheels:
+        """Limits of the robots' wheels."""
+        limits = self.model.limits
+        return Wheels(limits.max_speed_mps, limits.max_turn_radps, self.model.control.axis_offset_m)
+
+    @property
+    def command_life_s(self) -> float:
+        """Longest time for which a robot obeys a command without a new decision.
+
+        A robot's process may stop right before it decides again. Its driver forgets the command `HOLD_S`
+        later and writes zero at the next of its writes. If the driver stops as well, the robot's own
+        keep-alive, of `HOLD_S` at most, ends what was written last.
+        """
+        return HOLD_S + max(1 / RATE_HZ, self.model.limits.period_s)
+
+    def make_avoidance(self) -> AvoidanceRule | None:
+        """Return the bound on the robots' speed near other bodies; None if avoidance is off."""
+        model, limits = self.model.avoidance, self.model.limits
+        if not model.on:
+            return None
+        margin_s = limits.clock_uncertainty_s + model.stamp_error_s
+        brakes = self.model.drive.max_accel_mps2 or limits.max_accel_mps2
+        return make_avoidance_rule(
+            model,
+            self.model.drive.model_copy(update={"max_accel_mps2": brakes}),
+            self.wheels,
+            side_m=self.model.markers.side_m,
+            timing=Timing(
+                nominal_age_s=NOMINAL_AGE_SHARE * limits.goal_timeout_s,
+                superseded_age_s=0.0,
+                step_s=self.command_life_s,
+                delay_s=self.model.control.delay_s,
+                clock_margin_s=margin_s,
+                bearing_s=margin_s + self.command_life_s - HOLD_S,
+                is_synchronous=False,
+            ),
+        )
 
     @property
     def clock_limits(self) -> ClockLimits:
@@ -146,9 +195,11 @@ class Lab:
             robot_id,
             list(range(len(self.model.cameras))),
             law,
-            Wheels(limits.max_speed_mps, limits.max_turn_radps, control.axis_offset_m),
+            self.wheels,
             RobotLimits(self.speed_limits, goal_timeout_s=limits.goal_timeout_s, unseen_s=limits.unseen_s),
             side_m=self.model.markers.side_m,
             delay_s=control.delay_s,
             clock_limits=self.clock_limits,
+            other_ids=self.body_ids if self.model.avoidance.on else [],
+            avoidance=self.make_avoidance(),
         )

@@ -1,1 +1,1 @@
-"""What live processes record, how that is read, and how their decisions are made again from it."""
+"""Recordings of live processes: writing, reading, and replay of their decisions."""

@@ -1,7 +1,7 @@
-"""A unit's images for viewers of its recording, now and then: small, with what was found and decided in them.
+"""Preview images in a unit's recording: small, at a low rate, with overlays of markers and goals.
 
-Pictures are made in a thread of its own, so that a unit goes on while one is; what is not done in time is
-left out, never waited for. Nothing decides by them: a replay leaves them out.
+A separate thread makes them, so that the unit never waits. An image that is not finished in time is skipped.
+Previews do not affect decisions, and a replay ignores them.
 """
 
 from collections.abc import Iterator
@@ -13,42 +13,42 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from skyherd.analysis.ground import positions_in_sides
 from skyherd.control import Decision
 from skyherd.drawing.palette import INK, PAPER, UNIT_COLORS
-from skyherd.live.ground import positions_in_sides
 from skyherd.live.logs.view import View
 from skyherd.messages import Detections, rows_of
 from skyherd.recording import foxglove
 from skyherd.recording.mcap_log import Schema
 
 JPEG_QUALITY = 70
-"""Quality of the pictures, in per cent. Chosen: markers and their numbers are easily seen; half of it shows
-blocks around edges, and 90 doubles the size."""
+"""JPEG quality of the previews, %. Chosen: markers and numbers are clearly visible; 35 % shows block
+artefacts, and 90 % doubles the size."""
 
 MARKER_COLOR, GOAL_COLOR = UNIT_COLORS[2], UNIT_COLORS[1]
-"""Colours of markers as they were found, and of goals."""
+"""Colours of detected markers and of goals."""
 
 GOAL_PX = 10.0
-"""Diameter of the circle at a goal, pixels of the picture."""
+"""Diameter of the circle at a goal, px of the preview."""
 
 Page = tuple[str, Any]
-"""A topic, and a message for it."""
+"""A topic and a message for it."""
 
 TOPICS: dict[str, Schema] = {
     "/image": foxglove.IMAGE,
     "/overlay": foxglove.ANNOTATIONS,
     "/poses": foxglove.TRANSFORMS,
 }
-"""Topics of a unit's pictures, and their schemas."""
+"""Topics of a unit's previews, and their schemas."""
 
 
 class FrameLog:
-    """Makes pictures of a unit's images, at most so many a second, and gives them when they are done.
+    """Maker of previews at a limited rate, in a separate thread.
 
     Args:
         unit: number of the unit.
-        rate_hz: pictures a second; 0 for none.
-        width_px: larger images are shrunk to this width.
+        rate_hz: largest rate of previews, Hz; 0 for none.
+        width_px: largest width; wider images are downscaled.
     """
 
     def __init__(self, unit: int, rate_hz: float, width_px: int) -> None:
@@ -64,14 +64,14 @@ class FrameLog:
         decision: Decision | None = None,
         view: View | None = None,
     ) -> None:
-        """Begin a picture of an image, unless the last one is too recent or not done yet."""
+        """Start the preview of an image, unless the last one is too recent or not finished."""
         if self._rate_hz == 0 or self._made is not None or found.time_s < self._due_s:
             return
         self._due_s = found.time_s + 1 / self._rate_hz
         self._made = self._maker.submit(pages, self._unit, self._width_px, image, found, decision, view)
 
     def done(self) -> Iterator[Page]:
-        """The messages of a picture that is done, each once."""
+        """Yield the messages of a finished preview, each once."""
         if self._made is not None and self._made.done():
             made, self._made = self._made, None
             yield from made.result()
@@ -93,15 +93,15 @@ def pages(
     decision: Decision | None,
     view: View | None,
 ) -> list[Page]:
-    """The messages of one image: the picture, what is drawn over it, and the places on the ground.
+    """Return the messages of one image: preview, overlay, and poses on the ground.
 
     Args:
         unit: number of the unit.
-        width_px: a larger image is shrunk to this width.
+        width_px: largest width; a wider image is downscaled.
         image: grey levels (height, width).
-        found: the markers in it.
-        decision: what the unit decided on it; None if it did not.
-        view: the goals in it; None if the unit did not decide.
+        found: its markers.
+        decision: the unit's decision on it; None without one.
+        view: its goals; None without a decision.
     """
     scale = min(1.0, width_px / image.shape[1])
     if scale < 1:
@@ -125,7 +125,7 @@ def pages(
 
 
 def _poses(unit: int, decision: Decision) -> dict[str, Any]:
-    """Where the robots are on the ground as the unit has learned it, in marker sides."""
+    """Return the robots' poses on the ground, as estimated by the unit, in marker sides."""
     flat = decision.detections.unambiguous()
     places = {
         f"unit/{unit}/robot/{robot}": (x, y, -heading_rad)

@@ -1,22 +1,21 @@
-"""What one process hears, reads from its clock and does, as it happens, in an MCAP file of its own.
+"""Recording of one process: its inputs and outputs, in an MCAP file.
 
-Every input is there in the order in which it came, so that `skyherd.live.logs.replay` decides anew from
-it:
+The file has all inputs in their order, so that `skyherd.live.logs.replay` reproduces the decisions:
 
-    /about       first, and once more: who it is, the lab as it was checked, the versions, and the topics
-    /heard       a message: its envelope, and when it arrived
-    /detections  of a unit: the markers found in an image, and when the unit looked at them
-    /heartbeat   when it gave a sign of life, and what it said
-    /decide      of a robot: when it decided, its order to the wheels, and whether it was armed
-    /sent        of a unit: what it sent on an image
-    /view        of a unit: the image as it decided on it, with the goals in it and the shape error
-    /stages      of a unit: when an image was taken, came in, was searched and was decided on
-    /tell        a line for people
+    /about       twice at the beginning: process name, validated lab, versions and topics
+    /heard       a received message: envelope and time of arrival
+    /detections  unit: the markers detected in an image, and the time of the decision on them
+    /heartbeat   time of a heartbeat, and counts of refused and dropped messages
+    /decide      robot: a decision with its time, wheel command and arm state
+    /sent        unit: the messages sent after an image
+    /view        unit: goals and shape error of an image
+    /stages      unit: times of capture, arrival, detection and decision of an image
+    /tell        a status line for people
     /image, /overlay, /poses
-                 of a unit, now and then: see `skyherd.live.logs.frame_log`
-    /end         the process ended as it should
+                 unit: previews at a low rate, see `skyherd.live.logs.frame_log`
+    /end         orderly end of the process
 
-A process that is killed leaves all but the last half second.
+The recording of a killed process lacks at most the last half second.
 """
 
 from collections.abc import Mapping
@@ -30,11 +29,8 @@ from skyherd.live.logs.view import View
 from skyherd.live.mailbox import Arrival
 from skyherd.live.wire import VERSION, envelope_record
 from skyherd.messages import Detections
-from skyherd.recording.mcap_log import CHUNK_BYTES, McapLog, Schema
+from skyherd.recording.mcap_log import McapLog, Schema
 from skyherd.version import __version__
-
-FLUSH_S = 0.5
-"""Time of which a process that is killed loses less than this, s."""
 
 OBJECT: dict[str, Any] = {"type": "object"}
 
@@ -50,34 +46,34 @@ TOPICS: Mapping[str, Schema] = {
     "/stages": ("skyherd.Stages", OBJECT),
     "/tell": ("skyherd.StatusLine", OBJECT),
 }
-"""Topics of a process, and their schemas; the first two are those by which `skyherd.recording.survey` knows
-the beginning and the end of a recording."""
+"""Topics of a process, and their schemas. The first two mark the beginning and the end of a recording for
+`skyherd.recording.survey`."""
 
 
 def topics_of(name: str) -> dict[str, Schema]:
-    """The topics of the file of a process; only units have pictures."""
+    """Return the topics in the file of a process. Only units have previews."""
     return {**TOPICS, **(frame_log.TOPICS if name.startswith("unit/") else {})}
 
 
 class ProcessLog:
-    """Keeps what a process takes in and gives out; a disk that is full ends it with a line, and no more.
+    """Writer of a process's recording. A write error ends the recording, but not the process.
 
     Attributes:
-        trouble: why nothing is written any more; None while it is.
+        trouble: the write error that ended the recording, or None.
 
     Args:
-        path: the file to make.
+        path: the new file.
         name: of the process, such as `robot/3`.
         lab: the set-up.
-        now_s: now.
+        now_s: current time.
 
     Raises:
-        OSError: the file cannot be made.
+        OSError: the file cannot be created.
     """
 
     def __init__(self, path: Path, name: str, lab: Lab, now_s: float) -> None:
         self.trouble: str | None = None
-        self._path, self._flushed_s = path, now_s
+        self._path = path
         topics = topics_of(name)
         self._log: McapLog | None = McapLog(path, topics)
         about = {
@@ -93,29 +89,27 @@ class ProcessLog:
                 self._log.flush()
 
     def heard(self, arrival: Arrival) -> None:
-        """Keep a message that arrived."""
+        """Record a received message."""
         record = envelope_record(arrival.envelope) | {"received_s": arrival.received_s}
         self.keep("/heard", arrival.received_s, record)
 
     def saw(self, detections: Detections, now_s: float) -> None:
-        """Keep what was found in an image, at the moment at which it is decided on."""
+        """Record the detections in an image, at the time of the decision on them."""
         self.keep("/detections", now_s, {"now_s": now_s, "detections": detections})
 
     def put(self, topic: str, now_s: float, record: Any) -> None:
-        """Keep an object of `TOPICS`, with the time as `now_s`."""
+        """Record an object under one of `TOPICS`, with the time as `now_s`."""
         self.keep(topic, now_s, {"now_s": now_s} | record)
 
     def keep(self, topic: str, now_s: float, record: Any) -> None:
-        """Keep a message of one of the topics as it is."""
+        """Record an object under one of the topics unchanged."""
         if self._log is None:
             return
         try:
             self._log.put(topic, max(0.0, min(now_s, 1e10)), record)
-            if self._log.pending_bytes >= CHUNK_BYTES or not 0 <= now_s - self._flushed_s < FLUSH_S:
-                self._log.flush()
-                self._flushed_s = now_s
+            self._log.flush_when_due(now_s)
         except OSError as error:
-            self.trouble = f"{self._path}: {error.strerror or error}; nothing is recorded from now on"
+            self.trouble = f"{self._path}: {error.strerror or error}; recording has ended"
             self._log.abandon()
             self._log = None
 
@@ -130,4 +124,6 @@ class ProcessLog:
             try:
                 log.close()
             except OSError as failed:
-                self.trouble = f"{self._path}: {failed.strerror or failed}; its end is missing"
+                self.trouble = (
+                    f"{self._path}: {failed.strerror or failed}; the end of the recording is missing"
+                )

@@ -1,4 +1,4 @@
-"""A process's file read back, as far as it can be read."""
+"""Reading of a process's recording, also of a damaged one."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,20 +14,20 @@ from skyherd.recording.survey import describe_flaws, read_chunk, survey
 from skyherd.text import printable, shorten
 
 ALLOWED = "a file of `skyherd live run`"
-"""What is to be given where something else was, as complaints say it."""
+"""Expected input, for error messages."""
 
 MAX_BYTES = 2**36
-"""Size of the largest file that is read, bytes. Chosen: as of recordings of simulated runs."""
+"""Size of the largest accepted file, bytes. Chosen: as for recordings of simulated runs."""
 
 MALFORMED_RECORDS = (*MALFORMED, InputError, TypeError, AttributeError, IndexError, FloatingPointError)
-"""What reading the records of a file raises that this version of skyherd did not write."""
+"""Errors from records that this version of skyherd did not write."""
 
 
 class Entry(NamedTuple):
     """One record of a file.
 
     Attributes:
-        number: of the record in the file, from 0; what is missing between two was lost.
+        number: number of the record in the file, from 0. Gaps are lost records.
         topic: as in `skyherd.live.logs.process_log`.
         content: dict, list, str, int, float, bool, None.
     """
@@ -38,15 +38,15 @@ class Entry(NamedTuple):
 
 
 class ProcessLogFile:
-    """One process's file: what it lacks, and its records.
+    """Recording of one process: its records and flaws.
 
     Attributes:
         path: the file.
-        flaws: what is wrong with it; none if it is whole.
-        ended: whether the process ended as it should.
+        flaws: flaws of the file; empty if it is complete.
+        ended: whether the process ended in order.
 
     Raises:
-        InputError: there is no such file, or nothing of a live process can be read in it.
+        InputError: there is no such file, or it has no readable record of a live process.
     """
 
     def __init__(self, path: Path) -> None:
@@ -60,10 +60,10 @@ class ProcessLogFile:
         self._topics = self._read_topics()
 
     def entries(self) -> Iterator[Entry]:
-        """Iterate over the records that can be read, in order.
+        """Yield the readable records in order.
 
         Raises:
-            MALFORMED_RECORDS: a record is not as this version writes it.
+            MALFORMED_RECORDS: a record does not have this version's format.
         """
         with open_regular(self.path, ALLOWED, MAX_BYTES) as stream:
             for chunk in self._chunks:
@@ -72,7 +72,7 @@ class ProcessLogFile:
                     yield Entry(message.sequence, topic, orjson.loads(message.data))
 
     def _read_topics(self) -> dict[int, str]:
-        """The topics by the numbers of their channels, from the first record."""
+        """Return the topics by channel number, from the first record."""
         with open_regular(self.path, ALLOWED, MAX_BYTES) as stream:
             try:
                 first = read_chunk(stream, self._chunks[0].start)[0]
@@ -82,11 +82,11 @@ class ProcessLogFile:
             except MALFORMED_RECORDS:
                 pass
         why = f" ({describe_flaws(self.flaws)})" if self.flaws else ""
-        raise InputError(str(self.path), f"nothing of a live process can be read in it{why}", ALLOWED)
+        raise InputError(str(self.path), f"no readable record of a live process{why}", ALLOWED)
 
 
 def check_format(about: dict[str, Any], path: Path) -> None:
-    """Refuse the log of a process whose rules of decision were those of another format.
+    """Refuse a recording in another format, whose decision rules may differ.
 
     Raises:
         InputError: the record `/about` has another format, or none.
@@ -100,10 +100,10 @@ def check_format(about: dict[str, Any], path: Path) -> None:
 
 
 def read_process_log(path: Path) -> Iterator[tuple[str, Any]]:
-    """Iterate over topic and content of a process's records up to the first that is missing.
+    """Yield topic and content of a process's records, up to the first missing one.
 
     Raises:
-        InputError: there is no such file, or nothing of a live process can be read in it.
+        InputError: there is no such file, or it has no readable record of a live process.
     """
     for expected, entry in enumerate(ProcessLogFile(path).entries()):
         if entry.number != expected:

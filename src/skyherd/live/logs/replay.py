@@ -1,4 +1,4 @@
-"""Decides anew from what a process recorded, and compares what comes out with what it did, bit for bit."""
+"""Replay of a recording: decisions from the recorded inputs, compared bit by bit with the recorded ones."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,14 +16,14 @@ from skyherd.recording.json_codec import from_plain, to_json
 
 @dataclass(frozen=True)
 class Replayed:
-    """What came of deciding anew.
+    """Result of a replay.
 
     Attributes:
         name: of the process.
-        decisions: how many it made.
-        different: how many of them came out differently.
-        first_s: when the first of those was made; None if there is none.
-        ended: whether the process ended as it should; otherwise the file ends up to half a second early.
+        decisions: number of its decisions.
+        different: number of decisions that differ in the replay.
+        first_s: time of the first different decision; None without one.
+        ended: whether the process ended in order; otherwise up to 0.5 s may be missing at the end.
     """
 
     name: str
@@ -34,10 +34,10 @@ class Replayed:
 
 
 def replay(path: Path) -> Replayed:
-    """Decide anew from one process's file.
+    """Replay the recording of one process, and return the result.
 
     Raises:
-        InputError: it is no such file.
+        InputError: the file is not such a recording.
     """
     core: RobotCore | UnitCore | None = None
     name, decisions, different, first_s, ended = "", 0, 0, None, False
@@ -59,15 +59,15 @@ def replay(path: Path) -> Replayed:
             pending = to_json(None if news is None else news.messages)
         elif topic == "/sent" or (topic == "/decide" and isinstance(core, RobotCore)):
             decisions += 1
-            was = to_json(record["messages"] if topic == "/sent" else record["order"])
-            now = pending if isinstance(core, UnitCore) else to_json(core.decide(record["now_s"]))
-            if was != now:
+            recorded = to_json(record["messages"] if topic == "/sent" else record["order"])
+            replayed = pending if isinstance(core, UnitCore) else to_json(core.decide(record["now_s"]))
+            if recorded != replayed:
                 different += 1
                 first_s = record["now_s"] if first_s is None else first_s
         elif topic == "/end":
             ended = True
     if core is None:
-        raise InputError(str(path), "nothing of a live process in it", "a file of `skyherd live run`")
+        raise InputError(str(path), "no record of a live process", "a file of `skyherd live run`")
     return Replayed(name, decisions, different, first_s, ended)
 
 

@@ -1,7 +1,7 @@
-"""What a unit knew as it decided on an image, for people: where its goals lie, and how far the shape is.
+"""Goals and shape error of an image as the unit estimated them, for people.
 
-Nothing decides by it. Where robots really are is not known, nor are metres: points are pixels of the camera's
-own image.
+A view does not affect decisions. Points are pixels of the camera's image: the true positions and the metric
+scale are unknown.
 """
 
 from dataclasses import dataclass
@@ -9,21 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.analysis.goal_points import desired_points_px
+from skyherd.analysis.ground import shape_residual
 from skyherd.control import Decision, Template
 from skyherd.geometry import Array, IntArray, to_complex
-from skyherd.live.ground import shape_residual
 
 
 @dataclass(frozen=True)
 class View:
-    """One image as a unit decided on it.
+    """Goals and shape error of one image.
 
     Attributes:
-        captured_s: when it was taken, by the unit's clock.
-        ids: (N,) robots that have a goal from it.
-        goals_px: (N, 2) where these goals lie, px of the camera's image.
-        shape_error: RMS distance of the robots in the image, on the ground that the unit has learned, to the
-            best-fitting similarity of the shape, over their RMS radius; NaN of fewer than three robots.
+        captured_s: time of capture on the unit's clock.
+        ids: (N,) robots with a goal.
+        goals_px: (N, 2) positions of their goals, px of the camera's image.
+        shape_error: RMS distance of the robots to the best-fitting similarity of the shape, divided by their
+            RMS radius, on the ground as estimated by the unit; NaN with fewer than three robots.
         robots: number of robots of the shape in the image.
     """
 
@@ -35,7 +35,7 @@ class View:
 
 
 def view_of(decision: Decision, template: Template) -> View:
-    """The view of a decision, held against the template, with the roles that the unit knows."""
+    """Return the view of a decision, relative to the template with the roles known to the unit."""
     roles = decision.report.roles
     shape = template if roles is None else Template(template.ids, template.points_px[roles.roles])
     seen = decision.detections.unambiguous()

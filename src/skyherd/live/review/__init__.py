@@ -1,4 +1,4 @@
-"""What came of a live run: the files of its processes joined, and the page that shows them.
+"""Report of a live run: the joined recordings of its processes, and a page about them.
 
 Start with `make_live_report`.
 """

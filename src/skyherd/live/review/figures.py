@@ -1,4 +1,4 @@
-"""The figures of a live run."""
+"""Figures of a live run."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -26,20 +26,20 @@ from skyherd.plots.style import (
 )
 
 ROW_IN, MAX_ROWS_IN = 0.3, 14.0
-"""Height of a process in the timeline, and of all of them at most, inches. Chosen: names stay legible."""
+"""Height of a row of the timeline, and largest height of all rows, inches. Chosen: names stay legible."""
 
 FIXED_COLORS = {DECIDING: UNIT_COLORS[0], DRIVING: UNIT_COLORS[2], "disarmed": "#d5d9de"}
-"""Colours of what processes do when all is well."""
+"""Colours of the normal activities."""
 
 REASON_COLORS = (*(UNIT_COLORS[k] for k in (1, 4, 3, 5, 6)), "#5a3a1a")
-"""Colours of what else holds wheels still, by the time that it did; all further reasons share the last."""
+"""Colours of other reasons, by their total time; all further reasons share the last colour."""
 
 MAX_POINTS = 1500
-"""Points of a curve that are drawn at most. Chosen: more than a figure has pixels across."""
+"""Largest number of points drawn per curve. Chosen: above the width of a figure in pixels."""
 
 
 def draw_timeline(session: SessionHistory) -> Figure:
-    """Draw what every process did and when, a row each."""
+    """Draw the activity of every process over time, one row per process."""
     names = list(session.runs)
     row_in = min(ROW_IN, MAX_ROWS_IN / len(names))
     figure = new_figure(row_in * len(names) + 1.6)
@@ -66,7 +66,7 @@ def draw_timeline(session: SessionHistory) -> Figure:
     ]
     handles.append(Line2D([], [], color=INK, linewidth=2, label="armed"))
     if session.restarts:
-        handles.append(Line2D([], [], color=WARNING, marker=9, linestyle="", label="started again"))
+        handles.append(Line2D([], [], color=WARNING, marker=9, linestyle="", label="restarted"))
     if session.refused:
         handles.append(Line2D([], [], color=INK, marker="|", linestyle="", label="message refused"))
     legend_above(figure, handles, columns=3)
@@ -88,7 +88,7 @@ def _draw_process(
 
 
 def draw_shape_error(session: SessionHistory) -> Figure | None:
-    """Draw how far the robots in each unit's images were from the shape; None if nobody knows."""
+    """Draw the shape error of each unit's images. Return None if it is unknown."""
     logs = list(session.logs("unit"))
     if not any(np.isfinite(judged.shape_error) for log in logs for judged in log.judged):
         return None
@@ -111,7 +111,7 @@ def draw_shape_error(session: SessionHistory) -> Figure | None:
 
 
 def draw_latency(session: SessionHistory) -> Figure | None:
-    """Draw median and 99th percentile of each stage, and how old images were at commands over time."""
+    """Draw median and 99th percentile of each stage, and the total latency over time."""
     stages = [stage for stage in latency_stages(session) if stage.times_s.size]
     if not stages:
         return None
@@ -154,7 +154,7 @@ def draw_latency(session: SessionHistory) -> Figure | None:
 
 
 def draw_news_age(session: SessionHistory) -> Figure | None:
-    """Draw how old the newest image was that each robot decided by, and the age at which it stops."""
+    """Draw the age of the newest image at each robot's decisions, and the watchdog timeout."""
     logs = [log for log in session.logs("robot") if any(np.isfinite(one.image_age_s) for one in log.decided)]
     if not logs:
         return None
@@ -171,12 +171,12 @@ def draw_news_age(session: SessionHistory) -> Figure | None:
     axes.axhline(limit_s, color=WARNING, linestyle="--", linewidth=1.2)
     axes.set_ylim(0, 1.25 * max_s)
     robot_colorbar(figure, [axes], np.array(session.lab.ids))
-    legend_above(figure, [Line2D([], [], color=WARNING, linestyle="--", label="older: robots stop")])
+    legend_above(figure, [Line2D([], [], color=WARNING, linestyle="--", label="watchdog timeout")])
     return figure
 
 
 def draw_clocks(session: SessionHistory) -> Figure | None:
-    """Draw the offsets of the units' clocks as every other process knew them, and how well."""
+    """Draw the offsets of the units' clocks as estimated by the other processes, with uncertainties."""
     figure = new_figure(3.2)
     (axes,) = time_axes(figure, ["clock offset (ms)"])
     drawn = set()
@@ -198,7 +198,7 @@ def draw_clocks(session: SessionHistory) -> Figure | None:
     if not drawn:
         return None
     handles = [
-        Line2D([], [], color=unit_color(log.number), label=f"{log.name}, as others know it")
+        Line2D([], [], color=unit_color(log.number), label=f"{log.name}, estimated by others")
         for log in session.first_units()
         if log.name in drawn
     ]
@@ -207,7 +207,7 @@ def draw_clocks(session: SessionHistory) -> Figure | None:
 
 
 def _few(times_s: Array, values: Array) -> tuple[Array, Array]:
-    """A curve of at most `MAX_POINTS` points, each the largest value of its stretch, so that peaks stay."""
+    """Return a curve of at most `MAX_POINTS` points, each the maximum of an interval."""
     if times_s.size <= MAX_POINTS:
         return times_s, values
     starts = np.linspace(0, times_s.size, MAX_POINTS, endpoint=False).astype(int)
@@ -217,44 +217,43 @@ def _few(times_s: Array, values: Array) -> tuple[Array, Array]:
 PANELS: tuple[Panel[SessionHistory], ...] = (
     Panel(
         "timeline",
-        "What each process did",
-        "Robots drive while nothing stops them; otherwise the colour says what does. The thin line below a "
-        "robot shows when it was armed; a row is empty while its process does not run.",
+        "Activity of the processes",
+        "The colour shows that a robot drives, or why it stands still. The thin line below a robot shows "
+        "when it was armed. A row is empty while its process does not run.",
         draw_timeline,
     ),
     Panel(
         "shape_error",
-        "Shape error, as units know it",
-        "RMS distance of the robots in an image to the best-fitting similarity of the shape, on the ground "
-        "as the unit has learned it, over their RMS radius. It is computed from detections alone.",
+        "Shape error, as estimated by the units",
+        "RMS distance of the robots in an image to the best-fitting similarity of the shape, divided by "
+        "their RMS radius, on the ground as estimated by the unit. It is computed from detections only.",
         draw_shape_error,
     ),
     Panel(
         "latency",
-        "From capture to command",
-        "How long each stage takes, the first beyond the fastest picture's way; below, how old the image was "
-        "at each command that follows from it.",
+        "Latency from capture to command",
+        "Top: duration of each stage, the first one relative to the fastest picture. Bottom: age of the "
+        "image at each resulting command.",
         draw_latency,
     ),
     Panel(
         "images",
         "Paths and goals in the images",
-        "Every marker's path in the camera's own pixels, and where the last goals lay. A camera that flies "
-        "moves all of them.",
+        "Path of every marker in pixels of the camera, and the last goals. Camera motion moves all paths.",
         draw_images,
     ),
     Panel(
         "news_age",
-        "Age of news at the robots",
-        "How old the newest image was, by the robot's own clock, at each of its decisions.",
+        "Age of the newest image at the robots",
+        "Age of the newest image at each decision of a robot, on the robot's clock.",
         draw_news_age,
     ),
     Panel(
         "clocks",
         "Clocks",
-        "What units' clocks show more than that of each other process, and the band in which it must be, by "
-        "the stamps of messages alone.",
+        "Offset of the units' clocks from the clock of each other process, with its uncertainty, estimated "
+        "from the time stamps of messages.",
         draw_clocks,
     ),
 )
-"""The figures of a live run's page, in the order shown."""
+"""Figures of a live run's page, in their order."""

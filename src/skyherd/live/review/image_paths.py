@@ -1,4 +1,4 @@
-"""The figure of what units saw: the markers' paths in their images, and where they sent the robots."""
+"""Figure of the markers' paths and goals in the units' images."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,20 +12,20 @@ from skyherd.live.review.session_history import SessionHistory
 from skyherd.plots.style import frame_square, legend_above, new_figure, robot_colorbar, robot_colors
 
 MAX_PANELS = 12
-"""Units whose images are drawn at most. Chosen: more than a page can show well."""
+"""Largest number of units drawn. Chosen: more than a page shows well."""
 
 MAX_POINTS = 1500
-"""Points of a path that are drawn at most. Chosen: more than a figure has pixels across."""
+"""Largest number of points drawn per path. Chosen: above the width of a figure in pixels."""
 
 GAP_S = 1.0
-"""A path is not drawn over a time without the marker that is longer, s. Chosen: nobody knows the way."""
+"""Time without the marker above which its path is interrupted, s. Chosen: the path in between is unknown."""
 
 MAX_LABELS = 24
-"""Robots that are numbered in images at most; the colour bar names those of more."""
+"""Largest number of robots with labels; with more robots, a colour bar identifies them."""
 
 
 def draw_images(session: SessionHistory) -> Figure | None:
-    """Draw the paths of the markers in each unit's image, and its last goals; None if there was no image."""
+    """Draw the markers' paths in each unit's images, and the last goals. Return None without images."""
     units = [log for log in session.first_units() if any(run.seen for run in session.runs[log.name])]
     if not units:
         return None

@@ -1,4 +1,4 @@
-"""From the capture of an image to the command that follows from it: how long each stage takes."""
+"""Latency from the capture of an image to the resulting command, by stage."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from skyherd.live.review.session_history import SessionHistory
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage of the way from a camera to the wheels.
+    """A stage of the latency from camera to wheels.
 
     Attributes:
-        key: in `summary.json`.
-        name: a few words.
-        meaning: what passes in it.
-        times_s: (N,) how long it took, each time that it was measured.
+        key: its key in `summary.json`.
+        name: short name.
+        meaning: explanation for people.
+        times_s: (N,) measured durations.
     """
 
     key: str
@@ -28,20 +28,20 @@ class Stage:
 
     @property
     def median_s(self) -> float:
-        """Half of the times are shorter; NaN if there are none."""
+        """Median duration, s; NaN without measurements."""
         return float(np.median(self.times_s)) if self.times_s.size else np.nan
 
     @property
     def p99_s(self) -> float:
-        """One in a hundred of the times is longer; NaN if there are none."""
+        """99th percentile of the duration, s; NaN without measurements."""
         return float(np.percentile(self.times_s, 99)) if self.times_s.size else np.nan
 
 
 def latency_stages(session: SessionHistory) -> list[Stage]:
-    """The stages in order, and last the whole way.
+    """Return the stages in order, and the total latency last.
 
-    Stages of a unit are measured once an image, those of robots once for each goal that one of them heard.
-    Times by two clocks are compared only where the clocks were.
+    Stages of a unit are measured once per image, and stages of robots once per received goal. Times on two
+    clocks are compared only if the offset of the clocks is known.
     """
     images = np.array([stages for log in session.logs("unit") for stages in log.stages]).reshape(-1, 5)
     between = np.diff(images, axis=1)
@@ -54,25 +54,29 @@ def latency_stages(session: SessionHistory) -> list[Stage]:
         Stage(
             "arrival",
             "capture → arrival",
-            "Beyond the fastest picture's way: exposure and coding that all pictures share cannot be seen.",
+            "Relative to the fastest picture: constant latency of exposure and encoding is not measurable.",
             between[:, 0],
         ),
-        Stage("wait", "arrival → begun", "The unit was busy with an earlier image, or slept.", between[:, 1]),
-        Stage("detection", "begun → found", "Markers are found in the image.", between[:, 2]),
-        Stage("decision", "found → sent", "Goals are decided on, and all messages sent.", between[:, 3]),
-        Stage("radio", "sent → received", "A goal's way to its robot.", received_s - sent_s),
+        Stage(
+            "wait", "arrival → begun", "The unit processed an earlier image, or was suspended.", between[:, 1]
+        ),
+        Stage("detection", "begun → found", "Detection of the markers in the image.", between[:, 2]),
+        Stage(
+            "decision", "found → sent", "Decision on the goals, and sending of all messages.", between[:, 3]
+        ),
+        Stage("radio", "sent → received", "Transmission of a goal to its robot.", received_s - sent_s),
         Stage(
             "command",
             "received → command",
-            "Until the robot decides, at once or a fifth of a period after the last time.",
+            "Until the robot decides: at once, or a fifth of a period after its last decision.",
             commanded_s - received_s,
         ),
-        Stage("whole", "capture → command", "The whole way.", commanded_s - captured_s),
+        Stage("whole", "capture → command", "Total latency.", commanded_s - captured_s),
     ]
 
 
 def whole_way(session: SessionHistory) -> Iterator[tuple[str, Array, Array]]:
-    """For each unit, when commands came that follow from its images, and how old these were then, s."""
+    """Yield, for each unit, the times of commands from its images, and the images' ages then, s."""
     for name in session.runs:
         times, ages = [], []
         for log in session.logs("robot"):
@@ -85,7 +89,7 @@ def whole_way(session: SessionHistory) -> Iterator[tuple[str, Array, Array]]:
 
 
 def _compared(goals: list[GoalNews]) -> Iterator[GoalNews]:
-    """The goals whose sender's clock was known."""
+    """Return the goals whose sender's clock offset was known."""
     return (news for news in goals if news.known.is_known)
 
 

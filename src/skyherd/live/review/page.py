@@ -1,4 +1,4 @@
-"""The report of a live run: figures, summary and page, from the files of its processes."""
+"""Report of a live run: figures, summary and page, from the recordings of its processes."""
 
 import json
 from collections.abc import Sequence
@@ -24,22 +24,22 @@ from skyherd.report.pages import Tile, figure_card, render_page
 from skyherd.report.run_page import SummaryRow
 
 PAGE, SUMMARY, FIGURES = "report.html", "summary.json", "figures"
-"""Names of the page, of the summary and of the folder of figures, as in the folder of a simulated run."""
+"""Names of the page, the summary and the folder of figures, as for a simulated run."""
 
 VERB = "report"
-"""Verb by which the folder's record knows what was made here."""
+"""Verb of this report in the folder's record."""
 
 END_S = 1.0
-"""The shape error at the end is the median over the images of so many seconds, s. Chosen: single images are
-noisy; in five times that a shape that still forms changes by a quarter."""
+"""Time over which the final shape error is a median, s. Chosen: it averages noise; a converging shape changes
+by a quarter in five times that."""
 
 MAX_LINES = 300
-"""Lines of what processes told that the page shows at most, the first ones. Chosen: some pages of text."""
+"""Largest number of status lines on the page. Chosen: a few pages of text."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the page: a heading, what it is about, the names of its columns, and its rows."""
+    """A table of the page: heading, explanation, column names and rows."""
 
     title: str
     note: str
@@ -50,16 +50,16 @@ class Table:
 def make_live_report(folder: Path, progress: Progress = NO_PROGRESS) -> dict[str, Any]:
     """Make figures, summary and page of a live run in its folder, and return the summary.
 
-    Its key `recording` says what the recordings lack, if they are not whole.
+    The key `recording` of the summary describes flaws of the recordings, if any.
 
     Args:
         folder: a folder of `skyherd live run`.
-        progress: is told how many of the files are read.
+        progress: receives the number of files read.
 
     Raises:
-        InputError: the folder holds no readable recording, or a file that the report would replace and that
-            skyherd did not make.
-        OutputError: a file could not be written.
+        InputError: the folder has no readable recording, or the report would replace a file that skyherd did
+            not make.
+        OutputError: a file cannot be written.
     """
     session = read_session(folder, progress)
     figures = [f"{FIGURES}/{panel.name}{kind}" for panel in PANELS for kind in (".png", ".svg")]
@@ -87,7 +87,7 @@ def make_live_report(folder: Path, progress: Progress = NO_PROGRESS) -> dict[str
 
 
 def summarize_session(session: SessionHistory) -> dict[str, Any]:
-    """The numbers of a live run, as JSON has them; None for what is not known."""
+    """Return the summary of a live run as a JSON object. Unknown values are None."""
     robots = list(session.logs("robot"))
     summary: dict[str, Any] = {
         "team": session.lab.model.team,
@@ -116,12 +116,12 @@ def _known(value: float) -> float | None:
 
 
 def _last_runs(session: SessionHistory, kind: str) -> list[ProcessHistory]:
-    """The last file of each process of a kind."""
+    """Return the last recording of each process of a kind."""
     return [logs[-1] for name, logs in session.runs.items() if name.startswith(f"{kind}/")]
 
 
 def _end_error(session: SessionHistory, log: ProcessHistory) -> float | None:
-    """Median shape error of a unit's last images, None if it never knew one."""
+    """Return the median shape error of a unit's last images, or None without one."""
     errors = [(judged.time_s, judged.shape_error) for judged in log.judged if np.isfinite(judged.shape_error)]
     last = [error for time_s, error in errors if time_s >= errors[-1][0] - END_S]
     return float(np.median(last)) if last else None
@@ -135,11 +135,11 @@ def _lead(session: SessionHistory) -> str:
 
 
 def _status(session: SessionHistory) -> str:
-    """The sentence at the top of the page: whether the recordings are whole."""
+    """Return the status sentence of the page: whether the recordings are complete."""
     count = sum(len(logs) for logs in session.runs.values())
     if session.flaws:
-        return f"The recording is not whole ({session.flaw_line}). What can be read of it is shown."
-    return f"All {count} recordings are whole, and all processes ended as they should."
+        return f"The recording is incomplete ({session.flaw_line}). The page shows its readable part."
+    return f"All {count} recordings are complete, and all processes ended in order."
 
 
 def _tiles(session: SessionHistory, summary: dict[str, Any]) -> list[Tile]:
@@ -149,12 +149,12 @@ def _tiles(session: SessionHistory, summary: dict[str, Any]) -> list[Tile]:
     return [
         Tile(
             f"{100 * max(errors):.3g} %" if errors else UNKNOWN,
-            "shape error at the end, as units know it" + ("; the largest" if len(errors) > 1 else ""),
+            "final shape error, as estimated by the units" + ("; the largest" if len(errors) > 1 else ""),
         ),
         Tile(_ms(whole["median"]), "capture → command, median"),
         Tile(_ms(whole["p99"]), "capture → command, 99th percentile"),
-        Tile(UNKNOWN if share is None else f"{100 * share:.3g} %", "of the time robots drove"),
-        Tile(str(session.restarts), "processes started again"),
+        Tile(UNKNOWN if share is None else f"{100 * share:.3g} %", "of the time, robots drove"),
+        Tile(str(session.restarts), "restarts of processes"),
         Tile(str(session.refused), "messages refused"),
     ]
 
@@ -171,21 +171,21 @@ def _tables(session: SessionHistory) -> list[Table]:
     return [
         Table(
             "Processes",
-            "Each with all its files: how often it was started, how much it decided, and what else it did.",
-            ("process", "starts", "decisions", "drove", "otherwise mostly", "refused", "dropped", "ended"),
+            "All starts of each process together. Other reasons: the longest reason for standing still.",
+            ("process", "starts", "decisions", "drove", "other reasons", "refused", "dropped", "end"),
             [_process_row(session, logs) for logs in session.runs.values()],
         ),
         Table(
             "Clocks",
-            "Of the units' clocks the one that a process knows least, by the stamps of messages: what it "
-            "shows more than the process's own, and how well that is known; medians over the run.",
-            ("process", "compared with", "offset", "known to"),
+            "For each process, the unit whose clock offset is least certain, estimated from the time stamps "
+            "of messages; medians over the run.",
+            ("process", "compared with", "offset", "uncertainty"),
             [row for name in session.runs for row in _clock_rows(session, name)],
         ),
         Table(
             "Refused messages",
             "",
-            ("process", "why", "how often"),
+            ("process", "reason", "count"),
             [
                 (name, why, str(count))
                 for name, logs in session.runs.items()
@@ -209,12 +209,12 @@ def _process_row(session: SessionHistory, logs: Sequence[ProcessHistory]) -> tup
     mostly = "" if is_unit or not others else "{} ({:.1f} s)".format(*next(iter(others.items())))
     decided = sum(len(log.stages) if is_unit else len(log.decided) for log in logs)
     refused, dropped = sum(sum(log.refused.values()) for log in logs), sum(log.dropped for log in logs)
-    ended = "as it should" if logs[-1].ended else "killed, or still running"
+    ended = "in order" if logs[-1].ended else "killed, or still running"
     return logs[0].name, str(len(logs)), str(decided), drove, mostly, str(refused), str(dropped), ended
 
 
 def _clock_rows(session: SessionHistory, name: str) -> list[tuple[str, ...]]:
-    """A row for the unit whose clock a process knows worst."""
+    """Return a row for the unit whose clock offset is least certain."""
     log = session.runs[name][-1]
     units = [other for other in session.runs if other.startswith("unit/") and other != name]
     if not units:
@@ -227,16 +227,16 @@ def _clock_rows(session: SessionHistory, name: str) -> list[tuple[str, ...]]:
 
 
 def _lines(session: SessionHistory) -> list[str]:
-    """What processes told people, and when each began and ended, in order."""
-    told: list[tuple[float, str]] = []
+    """Return the status lines of all processes, with their starts and ends, in order."""
+    timed_lines: list[tuple[float, str]] = []
     for name, logs in session.runs.items():
         for number, log in enumerate(logs):
             began_s, ended_s = session.times_s(log, log.times_s).tolist()
-            told.append((began_s, f"{name}: started{' again' * bool(number)}"))
-            told.append((ended_s, f"{name}: {'ended' if log.ended else 'its recording breaks off'}"))
+            timed_lines.append((began_s, f"{name}: {'re' * bool(number)}started"))
+            timed_lines.append((ended_s, f"{name}: {'ended' if log.ended else 'its recording is cut off'}"))
             times_s = session.times_s(log, [time_s for time_s, _ in log.lines]).tolist()
             texts = [line.removeprefix(f"{name}: ") for _, line in log.lines]
-            told += [(time_s, f"{name}: {text}") for time_s, text in zip(times_s, texts, strict=True)]
-    lines = [f"{time_s:8.2f} s  {line}" for time_s, line in sorted(told)]
+            timed_lines += [(time_s, f"{name}: {text}") for time_s, text in zip(times_s, texts, strict=True)]
+    lines = [f"{time_s:8.2f} s  {line}" for time_s, line in sorted(timed_lines)]
     more = len(lines) - MAX_LINES
     return lines[:MAX_LINES] + [f"… and {more} more"] * (more > 0)

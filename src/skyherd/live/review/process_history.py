@@ -1,4 +1,4 @@
-"""What one file of a live process says, in the columns that the report is made of."""
+"""Content of a live process's recording, as columns for the report."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -19,22 +19,21 @@ from skyherd.recording.json_codec import from_plain
 from skyherd.text import printable, shorten
 
 CLOCK_S = 1.0
-"""Time between two looks at the offsets of the other processes' clocks, s. Chosen: a clock drifts by less
-than a millisecond in it."""
+"""Sampling period of the other processes' clock offsets, s. Chosen: the drift in it is below 1 ms."""
 
 LONGEST_LINE = 200
-"""Characters of a line for people that are shown."""
+"""Length of the longest line shown, characters. Chosen."""
 
 
 class ClockSample(NamedTuple):
-    """What was known of another process's clock at a time, by the clock of the process that knew it."""
+    """Estimate of another process's clock offset, with its time on the estimating process's clock."""
 
     time_s: float
     known: OffsetEstimate
 
 
 class Stages(NamedTuple):
-    """When one image passed each stage of a unit, s by the unit's clock."""
+    """Times of one image at the stages of a unit, s on the unit's clock."""
 
     captured_s: float
     arrived_s: float
@@ -44,7 +43,7 @@ class Stages(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """The markers of one image: when it was decided on, their ids (N,), and their centres (N, 2), px."""
+    """The markers of one image: time of the decision on it, ids (N,), and centres (N, 2), px."""
 
     time_s: float
     ids: IntArray
@@ -52,7 +51,7 @@ class Seen(NamedTuple):
 
 
 class Judged(NamedTuple):
-    """The shape in one image, as `skyherd.live.logs.view.View` has it."""
+    """Shape error of one image; see `skyherd.live.logs.view.View`."""
 
     time_s: float
     shape_error: float
@@ -60,15 +59,15 @@ class Judged(NamedTuple):
 
 
 class GoalNews(NamedTuple):
-    """A goal on its way to a robot.
+    """A goal received by a robot.
 
     Attributes:
-        unit: name of the unit that sent it.
-        captured_s: when the image was taken, by the unit's clock.
-        sent_s: when it was sent, by the unit's clock.
-        received_s: when it arrived, by the robot's clock.
-        commanded_s: when the robot next decided, by its clock.
-        known: of the unit's clock, as it arrived.
+        unit: name of the sending unit.
+        captured_s: time of capture of the image, on the unit's clock.
+        sent_s: time of sending, on the unit's clock.
+        received_s: time of arrival, on the robot's clock.
+        commanded_s: time of the robot's next decision, on its clock.
+        known: estimated offset of the unit's clock at the arrival.
     """
 
     unit: str
@@ -80,7 +79,7 @@ class GoalNews(NamedTuple):
 
 
 class Decided(NamedTuple):
-    """One decision of a robot: when, why its wheels stood still, what they were told, and age of its news."""
+    """One decision of a robot: time, reason, arm state, wheel command, and age of the newest image."""
 
     time_s: float
     reason: str
@@ -92,30 +91,30 @@ class Decided(NamedTuple):
 
 @dataclass
 class ProcessHistory:
-    """What a file says of its process.
+    """Content of one process's recording.
 
     Attributes:
         path: the file.
         name: of the process, such as `robot/3`.
         lab: the set-up.
-        version: of skyherd that recorded it.
-        flaws: what is wrong with the file, in a few words each.
-        ended: whether the process ended as it should.
-        times_s: when the first and the last record were made, by the process's clock.
-        lines: what it told people, and when.
-        clocks: by process, what was known of its clock from time to time.
-        refused: how many messages it refused, by reason.
-        refused_at_s: when it noticed that it had refused more.
-        dropped: how many messages it dropped since it was too slow.
-        stages: of a unit, its images.
-        seen: of a unit, the markers in them.
-        judged: of a unit, how far the shape was in them.
-        goals_px: of a unit, its last goals in the image by robot.
-        image_size_px: of a unit, width and height of its images; (0, 0) if there was none.
-        lost_pictures: of a unit, how many pictures it did not look at since it was too slow.
-        stamped_by: of a unit, how many of its images have their time from the stream, or from their arrival.
-        decided: of a robot, its decisions.
-        goals: of a robot, the goals that it heard.
+        version: version of skyherd that recorded it.
+        flaws: flaws of the file, a short text each.
+        ended: whether the process ended in order.
+        times_s: times of the first and the last record, on the process's clock.
+        lines: status lines with their times.
+        clocks: sampled estimates of the other processes' clock offsets, by process.
+        refused: numbers of refused messages, by reason.
+        refused_at_s: times at which the number of refused messages had increased.
+        dropped: number of messages dropped because the queue was full.
+        stages: unit: times of its images.
+        seen: unit: markers of its images.
+        judged: unit: shape errors of its images.
+        goals_px: unit: its last goals in the image, by robot.
+        image_size_px: unit: width and height of its images; (0, 0) without images.
+        lost_pictures: unit: number of camera pictures dropped because the unit was too slow.
+        stamped_by: unit: numbers of images stamped by the stream and by their arrival.
+        decided: robot: its decisions.
+        goals: robot: the goals that it received.
     """
 
     path: Path
@@ -147,19 +146,19 @@ class ProcessHistory:
 
     @property
     def number(self) -> int:
-        """Of the unit, or the marker of the robot."""
+        """Number of the unit, or marker id of the robot."""
         return int(self.name.partition("/")[2])
 
     @property
     def is_unit(self) -> bool:
-        """Whether it is a unit's; otherwise it is a robot's."""
+        """True for a unit, False for a robot."""
         return self.name.startswith("unit/")
 
     def take(self, topic: str, record: dict[str, Any]) -> None:
-        """Take in a record.
+        """Process a record.
 
         Raises:
-            MALFORMED_RECORDS: it is not as this version writes it.
+            MALFORMED_RECORDS: the record does not have this version's format.
         """
         reader = getattr(self, f"_take_{topic.removeprefix('/')}", None)
         if reader is not None:
@@ -236,10 +235,10 @@ class ProcessHistory:
 
 
 def read_history(path: Path) -> ProcessHistory:
-    """Read a file of a live process, as far as it can be read; `flaws` says what is wrong with it.
+    """Read the recording of a live process, as far as possible. Its `flaws` describe damages.
 
     Raises:
-        InputError: there is no such file, or nothing of a live process can be read in it.
+        InputError: there is no such file, or it has no readable record of a live process.
     """
     process_log = ProcessLogFile(path)
     log: ProcessHistory | None = None
@@ -253,16 +252,16 @@ def read_history(path: Path) -> ProcessHistory:
                     log = _begin(path, entry.content)
     except MALFORMED_RECORDS as error:
         why = shorten(" ".join(printable(str(error)).split()), 80)
-        flaws.append(f"its records are not as this version writes them ({why})")
+        flaws.append(f"its records do not have this version's format ({why})")
     if log is None:
-        why = "; ".join(flaws) or "no record of who it is"
+        why = "; ".join(flaws) or "no record with the process name"
         raise InputError(str(path), why, "a file of `skyherd live run` of this version")
     log.flaws, log.ended = flaws, process_log.ended
     return log
 
 
 def _begin(path: Path, about: dict[str, Any]) -> ProcessHistory:
-    """Return the empty history of a process, from the first record of its log."""
+    """Return the empty history of a process, from the first record of its recording."""
     check_format(about, path)
     lab, name = make_lab(about["lab"], where=str(path)), str(about["name"])
     kind, _, number = name.partition("/")
@@ -274,14 +273,14 @@ def _begin(path: Path, about: dict[str, Any]) -> ProcessHistory:
 
 def _stamp(value: Any) -> float:
     if not is_stamp(value):
-        raise ValueError("no time")
+        raise ValueError("not a time")
     return float(value)
 
 
 def _finite(value: Any) -> float:
     number = float(value)
     if not abs(number) < 1e9:
-        raise ValueError("no finite number")
+        raise ValueError("not a finite number")
     return number
 
 

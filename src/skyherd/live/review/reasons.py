@@ -1,4 +1,4 @@
-"""What robots and units did over time, as stretches of one reason each."""
+"""Activity of robots and units over time, as intervals of one reason each."""
 
 import re
 from collections.abc import Sequence
@@ -11,20 +11,20 @@ from skyherd.live.review.session_history import SessionHistory
 from skyherd.live.robot_core import DRIVING
 
 DECIDING = "decides on images"
-"""What is said of a unit while images come."""
+"""Activity of a unit while it receives images."""
 
 _NUMBERS = re.compile(r"(?<![/\w])[+-]?\d[\d.]*(e[+-]?\d+)?")
-"""Numbers in a reason, but for those in the names of processes."""
+"""Numbers in a reason, except those in process names."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of time in which a process did one thing.
+    """A time interval with one activity of a process.
 
     Attributes:
-        reason: `DRIVING`, `DECIDING`, or what held the wheels still, without numbers.
-        start_s: since the beginning of the run.
-        length_s: how long it lasted.
+        reason: `DRIVING`, `DECIDING`, or the reason why the robot stood still, without numbers.
+        start_s: start, s since the first record of the run.
+        length_s: duration, s.
     """
 
     reason: str
@@ -33,12 +33,12 @@ class Stretch:
 
 
 def gist(reason: str) -> str:
-    """A reason without its numbers, so that those that differ in them alone are one."""
+    """Return a reason without its numbers, so that reasons that differ only in numbers are equal."""
     return _NUMBERS.sub("…", reason)
 
 
 def stretches(session: SessionHistory, log: ProcessHistory) -> list[Stretch]:
-    """What the process of a file did, in order; what is between stretches of a unit had no image."""
+    """Return the activities of a process in order. A unit has gaps while it receives no images."""
     if log.is_unit:
         times_s = session.times_s(log, [stages.sent_s for stages in log.stages])
         return _runs(times_s, [DECIDING] * times_s.size, session.lab.model.limits.goal_timeout_s)
@@ -47,14 +47,14 @@ def stretches(session: SessionHistory, log: ProcessHistory) -> list[Stretch]:
 
 
 def armed_stretches(session: SessionHistory, log: ProcessHistory) -> list[Stretch]:
-    """When the robot of a file was armed."""
+    """Return the intervals in which a robot was armed."""
     times_s = session.times_s(log, [decided.time_s for decided in log.decided])
     runs = _runs(times_s, ["armed" if decided.armed else "" for decided in log.decided], np.inf)
     return [run for run in runs if run.reason]
 
 
 def _runs(times_s: np.ndarray, reasons: Sequence[str], gap_s: float) -> list[Stretch]:
-    """Stretches of equal reasons, each up to the beginning of the next one; cut where a gap is longer."""
+    """Return intervals of equal reasons, each up to the next one, interrupted at gaps above `gap_s`."""
     if not times_s.size:
         return []
     steps_s = np.diff(times_s)
@@ -72,7 +72,7 @@ def _runs(times_s: np.ndarray, reasons: Sequence[str], gap_s: float) -> list[Str
 
 
 def time_by_reason(session: SessionHistory, logs: Sequence[ProcessHistory]) -> dict[str, float]:
-    """How long processes did what, s, the longest first."""
+    """Return the total time of each activity, s, the longest first."""
     total_s: dict[str, float] = {}
     for log in logs:
         for stretch in stretches(session, log):
@@ -81,7 +81,7 @@ def time_by_reason(session: SessionHistory, logs: Sequence[ProcessHistory]) -> d
 
 
 def driving_share(session: SessionHistory, logs: Sequence[ProcessHistory]) -> float:
-    """Share of the time that robots decided in that they drove; NaN without any."""
+    """Return the fraction of recorded time in which robots drove; NaN without decisions."""
     total_s = time_by_reason(session, logs)
     whole_s = sum(total_s.values())
     return total_s.get(DRIVING, 0.0) / whole_s if whole_s else np.nan

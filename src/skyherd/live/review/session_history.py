@@ -1,4 +1,4 @@
-"""The files of a live run, joined: every process on one time axis, and what is missing."""
+"""Joined recordings of a live run: all processes on one time axis, and missing files."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,14 +14,14 @@ from skyherd.live.review.process_history import ProcessHistory, read_history
 from skyherd.messages.clock_offset import OffsetEstimate
 
 ALLOWED = "a folder of `skyherd live run`"
-"""What is to be given where something else was, as complaints say it."""
+"""Expected input, for error messages."""
 
 SHOWN_FLAWS = 4
-"""Flaws of a run that its one line names; the others are counted. Chosen: what fits into two lines."""
+"""Largest number of flaws named in a line; further ones are counted. Chosen: they fit into two lines."""
 
 
 def recorded_files(folder: Path) -> list[Path]:
-    """The files of the processes of a live run, those of units first; none if it is no such folder."""
+    """Return the recordings of a live run, units first, or an empty list for another folder."""
     if not folder.is_dir():
         return []
     return sorted(folder.glob("unit_*.mcap")) + sorted(folder.glob("robot_*.mcap"))
@@ -29,18 +29,18 @@ def recorded_files(folder: Path) -> list[Path]:
 
 @dataclass(frozen=True)
 class SessionHistory:
-    """A live run as its files have it.
+    """The joined recordings of a live run.
 
-    Times of a process are by its own clock; `times_s` lays them against that of one unit or robot, the
-    reference, as well as the two clocks were compared, and counts them from the first record of all.
+    Recorded times are on the clock of each process. `times_s` converts them to the clock of a reference
+    process, by the estimated offset, and counts them from the first record of the run.
 
     Attributes:
         lab: the set-up.
-        runs: the files of each process by its name, units first, each time that it ran in order.
-        flaws: what is wrong with files, or missing, a line for each file.
-        reference: name of the process whose clock the times are on.
-        zero_s: first record of all, by that clock.
-        end_s: last record of all, s since the first.
+        runs: recordings of each process by its name, units first, in the order of its starts.
+        flaws: damages and missing files, one line per file.
+        reference: name of the reference process.
+        zero_s: time of the first record of the run, on the reference clock.
+        end_s: time of the last record, s since the first one.
     """
 
     lab: Lab
@@ -51,41 +51,41 @@ class SessionHistory:
     end_s: float
 
     def times_s(self, log: ProcessHistory, times_s: Sequence[float] | Array) -> Array:
-        """Times (N,) by the clock of a process, in seconds since the beginning of the run."""
+        """Return times (N,) on the clock of a process as seconds since the first record of the run."""
         shift_s = clock_of(log, self.reference).offset_s
         return np.asarray(times_s, dtype=float) + shift_s - self.zero_s
 
     def logs(self, kind: str) -> Iterator[ProcessHistory]:
-        """All files of `unit` or `robot`, in order."""
+        """Yield the recordings of all processes of the kind `unit` or `robot`, in order."""
         for name, logs in self.runs.items():
             if name.startswith(f"{kind}/"):
                 yield from logs
 
     def first_units(self) -> Iterator[ProcessHistory]:
-        """The first file of each unit."""
+        """Return the first recording of each unit."""
         return (logs[0] for logs in self.runs.values() if logs[0].is_unit)
 
     @property
     def restarts(self) -> int:
-        """How often a process was started again."""
+        """Number of restarts of all processes."""
         return sum(len(logs) - 1 for logs in self.runs.values())
 
     @property
     def refused(self) -> int:
-        """How many messages were refused, by all processes together."""
+        """Number of messages refused by all processes."""
         return sum(sum(log.refused.values()) for logs in self.runs.values() for log in logs)
 
     @property
     def flaw_line(self) -> str:
-        """What is wrong with the recording, in one line; empty if nothing is."""
+        """Flaws of the recording in one line; empty without flaws."""
         more = len(self.flaws) - SHOWN_FLAWS
         return "; ".join(self.flaws[:SHOWN_FLAWS]) + (f"; and {more} more" if more > 0 else "")
 
 
 def clock_of(log: ProcessHistory, name: str) -> OffsetEstimate:
-    """What a process knew of another one's clock, all in all: the median, and its uncertainty in the median.
+    """Return a process's estimate of another one's clock offset: medians of offset and uncertainty.
 
-    Nothing is known of a process that it never compared clocks with; its own clock is its own.
+    The uncertainty is infinite for a process whose clock was never compared. The offset to itself is 0.
     """
     if name == log.name:
         return OffsetEstimate(0.0, 0.0)
@@ -99,10 +99,10 @@ def clock_of(log: ProcessHistory, name: str) -> OffsetEstimate:
 
 
 def read_session(folder: Path, progress: Progress = NO_PROGRESS) -> SessionHistory:
-    """Read all files of a live run, as far as they can be read.
+    """Read all recordings of a live run, as far as possible.
 
     Raises:
-        InputError: there are none, or nothing can be read of any of them.
+        InputError: there are none, or none is readable.
     """
     paths = recorded_files(folder)
     if not paths:
@@ -119,14 +119,12 @@ def read_session(folder: Path, progress: Progress = NO_PROGRESS) -> SessionHisto
         if logs and log.lab.model != logs[0].lab.model:
             flaws.append(f"{path.name}: of another lab, left out")
         elif not np.isfinite(log.times_s).all():
-            flaws.append(f"{path.name}: nothing was recorded yet")
+            flaws.append(f"{path.name}: no records yet")
         else:
             flaws += [f"{path.name}: {', '.join(log.flaws)}"] * bool(log.flaws)
             logs.append(log)
     if not logs:
-        raise InputError(
-            str(folder), f"nothing of it can be read ({'; '.join(flaws[:SHOWN_FLAWS])})", ALLOWED
-        )
+        raise InputError(str(folder), f"no readable recording ({'; '.join(flaws[:SHOWN_FLAWS])})", ALLOWED)
     return _joined(logs, flaws)
 
 

@@ -1,1 +1,1 @@
-"""A scenario's world as a process of its own, which is hardware to the rest of the system."""
+"""A scenario's world as a separate process, which takes the place of hardware."""

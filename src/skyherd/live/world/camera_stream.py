@@ -1,4 +1,4 @@
-"""A rendered camera as a network camera is: H.264 in FLV over TCP, for one viewer at a time."""
+"""A rendered camera as a network camera: H.264 in FLV over TCP, for one viewer at a time."""
 
 import socket
 import threading
@@ -12,29 +12,29 @@ from skyherd.errors import InputError
 from skyherd.geometry import Image
 
 QUALITY = {"preset": "ultrafast", "tune": "zerolatency", "crf": "18"}
-"""How x264 encodes. Chosen: as a network camera does, each picture sent before the next is taken."""
+"""Encoder options of x264. Chosen: no buffering, as in a network camera."""
 
 KEY_FRAME_S = 2.0
-"""Time between two pictures that need none before them, s."""
+"""Key frame interval, s. Chosen."""
 
 FULL_RANGE = 2
-"""FFmpeg's number of grey levels from 0 to 255, where videos have 16 to 235 as a rule."""
+"""FFmpeg's code of the full range of grey levels (0 to 255 instead of 16 to 235)."""
 
 MILLISECOND = Fraction(1, 1000)
-"""Unit of time of FLV."""
+"""Time unit of FLV, s."""
 
 
 class CameraStream:
-    """One camera's pictures for whoever connects: the newest, encoded in a thread of its own.
+    """Server of one camera's newest picture, encoded in a separate thread.
 
     Attributes:
-        port: where it listens on loopback.
-        sent: number of pictures that were sent.
+        port: TCP port on loopback.
+        sent: number of pictures sent.
 
     Args:
-        size_px: width and height.
-        rate_hz: pictures a second of real time.
-        port: as the attribute; 0 for any that is free.
+        size_px: width and height of the pictures.
+        rate_hz: frame rate in real time.
+        port: as the attribute; 0 for any free port.
 
     Raises:
         InputError: the port is taken.
@@ -48,7 +48,7 @@ class CameraStream:
         try:
             self._socket.bind(("127.0.0.1", port))
         except OSError as error:
-            raise InputError(f"port {port}", error.strerror or str(error), "--port of a free one") from None
+            raise InputError(f"port {port}", error.strerror or str(error), "a free port for --port") from None
         self.port = int(self._socket.getsockname()[1])
         self._socket.listen(1)
         self._socket.settimeout(0.2)
@@ -59,7 +59,7 @@ class CameraStream:
         self._thread.start()
 
     def show(self, image: Image, taken_s: float) -> None:
-        """Let this be the newest picture, taken at a time of any clock."""
+        """Replace the newest picture. `taken_s` is its time of capture on any clock."""
         with self._news:
             self._newest = image, taken_s
             self._news.notify()
@@ -86,7 +86,7 @@ class CameraStream:
                 self._serve(viewer)
 
     def _serve(self, viewer: socket.socket) -> None:
-        """Send pictures to one viewer until it leaves."""
+        """Send pictures to one viewer until it disconnects."""
         container = av.open(_Pipe(viewer), "w", format="flv")
         stream = container.add_stream("libx264", rate=max(1, round(self._rate_hz)), options=QUALITY)
         stream.width, stream.height = (side + side % 2 for side in self._size_px)
@@ -115,21 +115,21 @@ class CameraStream:
 
 
 class _Pipe:
-    """A socket as PyAV writes to it."""
+    """File-like adapter of a socket for PyAV."""
 
     def __init__(self, viewer: socket.socket) -> None:
         self._viewer = viewer
 
     def write(self, data: bytes) -> int:
-        """Send all of it."""
+        """Send all data, and return its length."""
         self._viewer.sendall(data)
         return len(data)
 
 
 def _yuv(image: Image) -> Image:
-    """A grey image (height, width) with the colour planes that H.264 wants, colourless.
+    """Return the YUV planes of a grey image (height, width), with neutral colour.
 
-    H.264 has even sides: where one is odd, the last line or column is repeated.
+    H.264 requires even sides: the last row or column of an odd side is repeated.
     """
     image = np.pad(image, [(0, side % 2) for side in image.shape], mode="edge")
     height, width = image.shape

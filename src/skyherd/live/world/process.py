@@ -23,6 +23,7 @@ from skyherd.live.world.camera_stream import CameraStream
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.random_streams import RunStream, generator
 from skyherd.recording.mcap_log import McapLog, Schema
+from skyherd.render import Shot
 from skyherd.sim.perception import make_renderer
 from skyherd.sim.physics import make_world
 from skyherd.sim.truth_metrics import TruthObserver
@@ -89,6 +90,7 @@ class WorldProcess:
         self._begun_s: float | None = None
         if self._log is not None:
             self._log.put("/scenario", self.clock(), scenario.model_dump(mode="json"))
+            self._log.flush()
 
     @property
     def time_s(self) -> float:
@@ -136,14 +138,16 @@ class WorldProcess:
     def _picture(self, unit: int) -> Image:
         world, markers = self._world, self._world.markers
         return self._renderer.render(
-            world.cameras[unit],
-            world.camera_pose(unit),
-            markers.ids,
-            markers.positions_m,
-            markers.headings_rad,
-            motion=world.motion(unit),
-            occluders=self._occluders,
-            stream=unit,
+            Shot(
+                world.cameras[unit],
+                world.camera_pose(unit),
+                markers.ids,
+                markers.positions_m,
+                markers.headings_rad,
+                motion=world.motion(unit),
+                occluders=self._occluders,
+                stream=unit,
+            )
         )
 
     def _slowed(self, command: FlightCommand) -> FlightCommand:
@@ -178,8 +182,7 @@ class WorldProcess:
             "shape_error": error,
         }
         self._log.put("/truth", now_s, record)
-        if self._log.pending_bytes > 1 << 16:
-            self._log.flush()
+        self._log.flush_when_due(now_s, now_s + self.mission.scenario.step_s / self.speed)
 
 
 def run_world(

@@ -163,16 +163,16 @@ def make_sweeps(plan: Plan, table: pa.Table) -> list[Sweep]:
         table: the study's table, with the columns that `skyherd.study.spec.INVARIANCE_KEEPS` names.
 
     Returns:
-        the sweeps in the study's order, without the reference. Failed runs are left out.
+        the sweeps in the study's order, without the reference. Runs that failed are left out.
 
     Raises:
-        InputError: the reference run failed.
+        InputError: the run of the reference failed.
     """
     rows = _rows(table)
     exact = [row for row in rows if row[SWEEP] == REFERENCE and row["perception"] == IDEAL]
     if not exact:
         raise InputError(
-            plan.study.where, "the reference's run failed", "see table.md; --retry makes it again"
+            plan.study.where, "the run of the reference failed", "see table.md; --retry repeats it"
         )
     paths_m = exact[0][CURVE + "positions_m"]
     runs = {run.key: run for run in plan.runs}

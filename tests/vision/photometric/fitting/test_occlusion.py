@@ -8,7 +8,7 @@ import pytest
 from skyherd.geometry import ROBOT_FRAME_CORNERS
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.dictionary import card_side, code_distance
-from skyherd.render import Camera, CameraPose, Disc, Ground, Renderer, Sensor, project_markers
+from skyherd.render import Camera, CameraPose, Disc, Ground, Renderer, Sensor, Shot, project_markers
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.photometric.fitting.fit import fit_markers
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
@@ -41,7 +41,7 @@ def scene(seed: int, covered: list[int], radius: float, inward: float = 0.0):
         for row in covered
     ]
     renderer = Renderer(DICTIONARY, 1.0, one_ground(), Sensor(NOISE, rng), psf_px=0.8)
-    image = renderer.render(CAMERA, POSE, IDS, positions, headings, occluders=discs)
+    image = renderer.render(Shot(CAMERA, POSE, IDS, positions, headings, occluders=discs))
     return image, project_markers(CAMERA, POSE, positions, headings, 1.0, card_side(DICTIONARY))
 
 
@@ -112,7 +112,9 @@ def test_large_markers_are_seen_in_part_as_well(side_px):
     axis = np.exp(0.3j)
     corner = ROBOT_FRAME_CORNERS[1] * axis
     disc = Disc((corner.real, corner.imag), 0.16, 40.0)
-    image = renderer.render(camera, POSE, np.array([7]), np.zeros((1, 2)), np.array([0.3]), occluders=[disc])
+    image = renderer.render(
+        Shot(camera, POSE, np.array([7]), np.zeros((1, 2)), np.array([0.3]), occluders=[disc])
+    )
     truth = project_markers(camera, POSE, np.zeros((1, 2)), np.array([0.3]), 1.0, card_side(DICTIONARY))
     seen = PhotometricDetector(DICTIONARY).detect(image)
     assert seen.ids.tolist() == [7]

@@ -13,13 +13,9 @@ import os
 import statistics
 import subprocess
 import sys
-import tarfile
 import tempfile
-import tomllib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -191,50 +187,3 @@ def _processor_s() -> float:
     """Time of the processor that ended children of this process took, user's and system's, s."""
     times = os.times()
     return times.children_user + times.children_system
-
-
-@contextmanager
-def unpacked(reference: str, repository: Path) -> Iterator[Path]:
-    """A temporary folder from which a version of skyherd can be imported.
-
-    Args:
-        reference: of git: a commit, branch or tag.
-        repository: folder of a git repository of skyherd.
-
-    Raises:
-        InputError: the folder is in no repository, or it has no such version, or that is not skyherd.
-    """
-    allowed = "a commit, branch or tag of a git repository of skyherd, see --repository"
-    if reference.startswith("-"):
-        raise InputError(f"--against {reference}", "begins with a hyphen", allowed)
-    try:
-        packed = subprocess.run(
-            ["git", "-C", str(repository), "archive", "--format=tar", f"{reference}^{{commit}}"],
-            capture_output=True,
-            check=False,
-        )
-    except FileNotFoundError:
-        raise InputError("--against", "git is not installed", "an installed git") from None
-    if packed.returncode:
-        said = packed.stderr.decode(errors="replace").strip().splitlines() or ["git failed"]
-        raise InputError(f"--against {reference}", said[0], allowed)
-    with tempfile.TemporaryDirectory(prefix="skyherd-") as name:
-        folder = Path(name)
-        with tarfile.open(fileobj=BytesIO(packed.stdout)) as archive:
-            archive.extractall(folder, filter="data")
-        yield _importable(folder, reference, allowed)
-
-
-def _importable(folder: Path, reference: str, allowed: str) -> Path:
-    """The folder to import from, into which the packages that lie elsewhere are linked."""
-    try:
-        tools = tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))["tool"]
-        places = tools["setuptools"]["package-dir"]
-        top = folder / str(places["skyherd"])
-    except (OSError, KeyError, ValueError):
-        raise InputError(f"--against {reference}", "has no package skyherd", allowed) from None
-    for package, place in sorted(places.items()):
-        target = top.parent.joinpath(*package.split("."))
-        if not target.exists():
-            target.symlink_to(folder / place, target_is_directory=True)
-    return top.parent

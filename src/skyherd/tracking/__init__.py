@@ -3,9 +3,9 @@
 Start with `track_videos`.
 """
 
-from skyherd.live.tracking.ground_tracks import GroundTracks, ShapeErrors, shape_errors
-from skyherd.live.tracking.shapes import ShapeSource, named_shape, scenario_shape
-from skyherd.live.tracking.tracker import FIGURE, SHAPE, TRACKS, track_videos
+from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors, shape_errors
+from skyherd.tracking.shapes import ShapeSource, named_shape, scenario_shape
+from skyherd.tracking.tracker import FIGURE, SHAPE, TRACKS, track_videos
 
 __all__ = [
     "FIGURE",

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from skyherd.analysis.ground import positions_in_sides, shape_residual
 from skyherd.control import Rectifier, Template
 from skyherd.geometry import Array, IntArray, to_complex
-from skyherd.live.ground import positions_in_sides, shape_residual
 from skyherd.messages import Detections
 
 

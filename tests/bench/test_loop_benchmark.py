@@ -1,36 +1,50 @@
-"""`skyherd bench loop`: its arithmetic, the version that it unpacks, what it refuses, its tables and JSON."""
+"""`benchmarks/loop.py`: its arithmetic, the version that it unpacks, what it refuses, its tables and JSON."""
 
 import json
 import subprocess
 from contextlib import nullcontext
+from importlib import import_module
 
 import pytest
-from command_line import call
 
-from skyherd.bench import against, loop_result
-from skyherd.bench.against import compare, measure_pairs, same_places, unpacked
-from skyherd.bench.loop_parts import account
 from skyherd.errors import InputError
 
 
-def test_ratios_are_taken_in_each_round_and_not_of_medians():
+@pytest.fixture(scope="module")
+def loop(load_benchmark):
+    """The script."""
+    return load_benchmark("loop")
+
+
+@pytest.fixture(scope="module")
+def against(loop):
+    """The module of the script that runs two versions in alternation."""
+    return import_module("loop_against")
+
+
+@pytest.fixture(scope="module")
+def unpacked(loop):
+    return import_module("versions").unpacked
+
+
+def test_ratios_are_taken_in_each_round_and_not_of_medians(against):
     """A machine that is three times as slow in one round changes the medians, and no ratio."""
     pairs = [
         ({"step": 2.0, "places": "a"}, {"step": 4.0, "places": "a"}),
         ({"step": 6.0, "places": "a"}, {"step": 12.0, "places": "a"}),
         ({"step": 2.2, "places": "a"}, {"step": 4.0, "places": "a"}),
     ]
-    (ratio,) = compare(pairs)
+    (ratio,) = against.compare(pairs)
     assert (ratio.name, ratio.this, ratio.other) == ("step", 2.2, 4.0)
     assert (ratio.ratio, ratio.least, ratio.greatest) == pytest.approx((0.5, 0.5, 0.55))
     assert ratio.cells() == ("step", "2.20", "4.00", "0.50", "0.50 to 0.55")
-    assert same_places(pairs)
-    assert not same_places([*pairs, (pairs[0][0], {"step": 4.0, "places": "b"})])
+    assert against.same_places(pairs)
+    assert not against.same_places([*pairs, (pairs[0][0], {"step": 4.0, "places": "b"})])
 
 
-def test_the_parts_of_a_step_add_up():
+def test_the_parts_of_a_step_add_up(loop):
     calls_s = {"render": [0.1, 0.3], "detect": [0.2, 0.2], "control": [0.05, 0.05], "record": [0.1]}
-    row = account([0.5, 1.5], calls_s, plain_s=0.4)
+    row = import_module("loop_parts").account([0.5, 1.5], calls_s, plain_s=0.4)
     assert row["steps_per_s"] == 1.0 and row["frames"] == 2
     assert row["step_ms_median"] == 1000.0
     assert row["share"] == pytest.approx(
@@ -39,7 +53,7 @@ def test_the_parts_of_a_step_add_up():
     assert row["ratio_to_plain_aruco"] == pytest.approx(2.0)  # OpenCV takes twice as long
 
 
-def test_versions_alternate_and_the_order_changes(monkeypatch, tmp_path):
+def test_versions_alternate_and_the_order_changes(against, monkeypatch, tmp_path):
     called = []
 
     def measured(version, name, duration_s, *, whole):
@@ -47,7 +61,7 @@ def test_versions_alternate_and_the_order_changes(monkeypatch, tmp_path):
         return {"step": 1.0 if version is None else 2.0, "number": float(len(called))}
 
     monkeypatch.setattr(against, "_measure", measured)
-    pairs = measure_pairs("star", 1.0, tmp_path, 3)
+    pairs = against.measure_pairs("star", 1.0, tmp_path, 3)
     assert called == [None, tmp_path, tmp_path, None, None, tmp_path]
     assert [(this["step"], other["step"]) for this, other in pairs] == [(1.0, 2.0)] * 3
     assert [this["number"] for this, _ in pairs] == [1.0, 4.0, 5.0]
@@ -92,7 +106,7 @@ def run_steps(mission):
     return folder
 
 
-def test_another_version_is_unpacked_run_and_removed(repository):
+def test_another_version_is_unpacked_run_and_removed(against, unpacked, repository):
     """The working folder, which is another version still, is neither used nor changed."""
     before = sorted(path for path in repository.rglob("*") if path.is_file())
     with unpacked("old", repository) as folder:
@@ -113,7 +127,7 @@ def test_another_version_is_unpacked_run_and_removed(repository):
         ("--help", "begins with a hyphen"),
     ],
 )
-def test_a_version_that_is_not_there_is_refused(repository, reference, said):
+def test_a_version_that_is_not_there_is_refused(unpacked, repository, reference, said):
     with pytest.raises(InputError, match=said), unpacked(reference, repository):
         pass
 
@@ -128,14 +142,14 @@ def test_a_version_that_is_not_there_is_refused(repository, reference, said):
         (["--against", "v1", "--repository", "/"], "--against v1: fatal: not a git repository"),
     ],
 )
-def test_bad_options_are_refused_in_one_line(tmp_path, monkeypatch, capsys, words, said):
+def test_bad_options_are_refused_in_one_line(loop, tmp_path, monkeypatch, capsys, words, said):
     monkeypatch.chdir(tmp_path)
-    code, _, err = call(capsys, "bench", "loop", *words)
+    code, err = loop.main(words), capsys.readouterr().err
     assert code == 2 and said in err and len(err.splitlines()) == 1
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_leaves_tables_and_json(tmp_path, monkeypatch, capsys):
+def test_the_script_leaves_tables_and_json(loop, against, tmp_path, monkeypatch, capsys):
     """With another version that is a stand-in: it takes half as long."""
     row = {"step: clock, ms": 8.0, "step: processor, ms": 6.0, "places": "p"}
     monkeypatch.setattr(
@@ -143,12 +157,13 @@ def test_the_command_leaves_tables_and_json(tmp_path, monkeypatch, capsys):
             name: value / 2 if version and name != "places" else value for name, value in row.items()
         }
     )  # fmt: skip
-    monkeypatch.setattr(loop_result, "unpacked", lambda reference, repository: nullcontext(tmp_path))
-    out = tmp_path / "out"
-    code, said, _ = call(
-        capsys, "bench", "loop", "--duration", "0.5", "--against", "old", "--rounds", "2", "--out", out
+    monkeypatch.setattr(
+        import_module("loop_result"), "unpacked", lambda reference, repository: nullcontext(tmp_path)
     )
-    assert code == 0
+    out = tmp_path / "out"
+    words = ["--duration", "0.5", "--against", "old", "--rounds", "2", "--out", str(out)]
+    assert loop.main(words) == 0
+    said = capsys.readouterr().out
     assert "star against old" in said and "2.00 to 2.00" in said and "the same places" in said
     content = json.loads((out / "loop.json").read_text())
     assert content["comparisons"][0]["ratios"][0]["ratio"] == 2.0

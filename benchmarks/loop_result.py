@@ -1,4 +1,4 @@
-"""The result of `skyherd bench loop`: measured, as JSON, and as tables."""
+"""The result of `benchmarks/loop.py`: measured, as JSON, and as tables."""
 
 import json
 from collections.abc import Sequence
@@ -6,8 +6,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from skyherd.bench.against import HEADER, Ratio, compare, measure_pairs, same_places, unpacked
-from skyherd.bench.loop_parts import PARTS, measure_parts
+from loop_against import HEADER, Ratio, compare, measure_pairs, same_places
+from loop_parts import PARTS, measure_parts
+from versions import unpacked
+
 from skyherd.bench.result import environment
 from skyherd.bench.table import Table, short
 from skyherd.datasets import load_mission
@@ -41,7 +43,7 @@ class LoopResult:
 
     Attributes:
         environment: versions, machine, and what was asked for.
-        scenarios: the figures of `skyherd.bench.loop_parts.measure_parts`, a dictionary a scenario.
+        scenarios: the figures of `loop_parts.measure_parts`, a dictionary a scenario.
         against: the other version; None if there was none.
         comparisons: with it, one a scenario.
     """

@@ -13,10 +13,10 @@ from skyherd.files.atomic import whole_file, write_whole
 from skyherd.files.output_folder import OutputFolder
 from skyherd.files.video_reader import is_video, open_clip, read_clip
 from skyherd.jobs.progress import NO_PROGRESS, Progress
-from skyherd.live.tracking.figure import draw_tracks
-from skyherd.live.tracking.ground_tracks import GroundTracks, ShapeErrors, Sighting, shape_errors
-from skyherd.live.tracking.shapes import ShapeSource
 from skyherd.text import table_cell
+from skyherd.tracking.figure import draw_tracks
+from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors, Sighting, shape_errors
+from skyherd.tracking.shapes import ShapeSource
 from skyherd.vision import DEFAULT_DICTIONARY, Detector, create_detector
 
 VERB = "track"

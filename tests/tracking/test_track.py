@@ -11,9 +11,9 @@ from skyherd.cli import main
 from skyherd.control import Template
 from skyherd.datasets import shape_points
 from skyherd.geometry import to_complex
-from skyherd.live.tracking import GroundTracks, named_shape, shape_errors, track_videos
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
+from skyherd.tracking import GroundTracks, named_shape, shape_errors, track_videos
 
 SIZE_PX = 480, 360
 """Width and height of the images."""
@@ -131,6 +131,7 @@ def detections(places_px, ids, tilt=0.0):
     )
 
 
+@pytest.mark.smoke
 def test_the_camera_s_tilt_is_taken_off() -> None:
     points = shape_points("grid", 16)
     points = (points - points.mean(axis=0)) / np.abs(points - points.mean(axis=0)).max()

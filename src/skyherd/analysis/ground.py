@@ -1,4 +1,4 @@
-"""What a rectified image tells about the ground, which it shows up to a similarity: places, and the shape."""
+"""Positions and shape error on the ground, from rectified images that show it up to a similarity."""
 
 import numpy as np
 
@@ -9,20 +9,20 @@ from skyherd.messages import Detections, among
 from skyherd.sim.truth_metrics import fit_shape
 
 MIN_ROBOTS = 3
-"""Robots of a shape that an image has to show for an error. *Derived*: two points always fit any shape."""
+"""Fewest robots for a shape error. *Derived*: a similarity maps any two points onto any others."""
 
 
 def shape_residual(template: Template, ids: IntArray, points: ComplexArray) -> tuple[float, int]:
-    """How far robots are from a shape, and how many of the shape's they are.
+    """Return the shape error of the detected robots, and their number.
 
     Args:
         template: the shape.
-        ids: (N,) markers that were seen; those that are not of the shape are left out.
-        points: (N,) where they are on the ground, `u + iv` in the template's sense of rotation, in any unit.
+        ids: (N,) detected markers; markers outside the shape are ignored.
+        points: (N,) positions on the ground, `u + iv` in the template's sense of rotation, in any unit.
 
     Returns:
-        RMS distance to the best-fitting similarity of the shape over the RMS radius of its robots that were
-        seen, NaN of fewer than three; and the number of these.
+        RMS distance to the best-fitting similarity of the shape, divided by the RMS radius of the detected
+        robots; NaN with fewer than three. Then the number of detected robots of the shape.
     """
     keep = among(ids, template.members)
     count = int(keep.sum())
@@ -35,10 +35,10 @@ def shape_residual(template: Template, ids: IntArray, points: ComplexArray) -> t
 
 
 def positions_in_sides(flat: Detections) -> Array:
-    """Positions (N, 2) on the ground of the markers of a rectified image, in marker sides.
+    """Return the ground positions (N, 2) of the markers of a rectified image, in marker sides.
 
-    The median marker's side is the unit of length, x runs along +u and y against +v, and the image's centre
-    is the origin.
+    The unit of length is the median marker side. The origin is the image centre, x points along +u and y
+    along -v.
     """
     side_px = float(np.median(flat.sides_px)) if len(flat) else 1.0
     from_center_px = flat.centers_px - (flat.image_size_px - 1) / 2

@@ -9,7 +9,6 @@ from matplotlib.lines import Line2D
 
 from skyherd.drawing.palette import INK, MUTED, PAPER
 from skyherd.geometry import Array
-from skyherd.live.tracking.ground_tracks import GroundTracks, ShapeErrors
 from skyherd.plots.style import (
     drawing_style,
     frame_square,
@@ -19,6 +18,7 @@ from skyherd.plots.style import (
     robot_colors,
     use_log_scale,
 )
+from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors
 
 SIDE_IN, ERROR_IN = 3.4, 2.2
 """Side of a panel of tracks, and height of the panel of errors, inches."""

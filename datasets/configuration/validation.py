@@ -1,0 +1,314 @@
+"""Problems of configuration files, in words: where, what is wrong, what is allowed, what to do.
+
+Pydantic finds the problems; the words come from the model's JSON schema. A validator of a model raises
+`InputError`, whose place is a key relative to the model, or empty for the value itself.
+"""
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from skyherd.errors import MAX_PROBLEMS, InputError, join_errors
+from skyherd.text import did_you_mean, shorten
+
+MAX_SHOWN = 60
+"""Characters of a value or a key that a problem shows. *Chosen*: a number, a name or a short list."""
+
+MAX_LEVELS = 8
+"""Tables within each other in which a key is looked for. *Chosen*: scenarios have six."""
+
+RENAMED_BEGINNINGS = {"least_": "min_", "smallest_": "min_", "most_": "max_", "largest_": "max_"}
+"""How names of keys began in earlier versions, and how they begin now."""
+
+RENAMED_KEYS: Mapping[str, str] = {}
+"""Other keys of earlier versions and their names now."""
+
+MAX_EXACT = 1e15
+"""Bounds below this are written exactly by 15 digits."""
+
+Schema = dict[str, Any]
+"""A JSON schema, or a part of one."""
+
+Location = tuple[int | str, ...]
+"""Keys and indices that lead to a value."""
+
+M = TypeVar("M", bound=BaseModel)
+
+
+def check_tree(
+    model: type[M], tree: Any, where: str, *, see: str, origins: Mapping[str, str] | None = None
+) -> M:
+    """Check a tree of plain values against a model.
+
+    Args:
+        model: what the tree has to be.
+        tree: dictionaries, lists and plain values, as in a TOML file.
+        where: the file, or what to call it.
+        see: the command that shows what is allowed.
+        origins: options of the command line that gave values, by dotted key; see `locate`.
+
+    Raises:
+        InputError: all problems of the tree, unknown keys first.
+    """
+    try:
+        return model.model_validate(tree)
+    except ValidationError as error:
+        raise input_error(error, model, where, see=see, origins=origins) from None
+
+
+def input_error(
+    error: ValidationError,
+    model: type[BaseModel],
+    where: str,
+    *,
+    see: str,
+    origins: Mapping[str, str] | None = None,
+) -> InputError:
+    """Turn all complaints of a validation into one error, unknown keys first.
+
+    Args:
+        error: what Pydantic raised.
+        model: the model that the tree was checked against.
+        where: the file, or what to call it.
+        see: the command that shows what is allowed.
+        origins: options of the command line that gave values, by dotted key; see `locate`.
+    """
+    schema = _schema(model)
+    details = error.errors(include_url=False)
+    details.sort(key=_rank)
+    problems = []
+    for detail in details[:MAX_PROBLEMS]:
+        for key, what, allowed in _problems(detail, schema):
+            place = locate(where, key, origins or {}, unknown=detail["type"] == "extra_forbidden")
+            problems.append(InputError(place, what, allowed or f"see `{see}`"))
+    return join_errors(problems, more=max(0, len(details) - MAX_PROBLEMS))
+
+
+@cache
+def _schema(model: type[BaseModel]) -> Schema:
+    return model.model_json_schema()
+
+
+def _rank(detail: ErrorDetails) -> tuple[bool, int]:
+    """Order of problems: unknown keys first, those of the top level before others; the rest as it is."""
+    is_unknown = detail["type"] == "extra_forbidden"
+    return not is_unknown, len(detail["loc"]) if is_unknown else 0
+
+
+def locate(where: str, key: str, origins: Mapping[str, str], *, unknown: bool = False) -> str:
+    """Return how a problem names its place: the option that gave the value, or the file and the key.
+
+    Args:
+        where: the file, or what to call it.
+        key: dotted key of the value, empty for the whole file.
+        origins: options such as `--set control.k`, by the dotted keys that they gave; `*` is any item.
+        unknown: whether there is no such key, so that an option that leads through it is named.
+    """
+    parts = key.split(".")
+    for given, option in reversed(list(origins.items())):
+        wanted = given.split(".")
+        same = all(one in ("*", other) for one, other in zip(wanted, parts, strict=False))
+        if same and len(parts) >= len(wanted):
+            rest = ".".join(parts[len(wanted) :])
+            return f"{option}: {rest}" if rest else option
+        if same and unknown:
+            return option
+    return f"{where}: {key}" if key else where
+
+
+def shown(value: Any) -> str:
+    """Return a value as a problem shows it, shortened."""
+    try:
+        return shorten(repr(value), MAX_SHOWN)
+    except ValueError:
+        return "an integer of very many digits"
+
+
+def expected(schema: Schema, top: Schema) -> str:
+    """Return what a value may be, in words.
+
+    Args:
+        schema: the schema of the value.
+        top: the whole schema, in which references are looked up.
+    """
+    schema = _resolved(schema, top)
+    if "anyOf" in schema:
+        options = [option for option in schema["anyOf"] if option.get("type") != "null"]
+        return ", or ".join(dict.fromkeys(expected(option, top) for option in options))
+    if "const" in schema:
+        return f"{schema['const']!r}"
+    if "enum" in schema:
+        return f"one of {', '.join(map(str, schema['enum']))}"
+    match schema.get("type"):
+        case "number":
+            return f"a finite number{_range(schema)}"
+        case "integer":
+            return f"a whole number{_range(schema)}"
+        case "string":
+            return "a text of at least one character" if schema.get("minLength") else "a text in quotes"
+        case "boolean":
+            return "true or false"
+        case "array":
+            return _expected_list(schema, top)
+        case "object":
+            return "a table"
+    return "any value"
+
+
+def _expected_list(schema: Schema, top: Schema) -> str:
+    items = [expected(item, top) for item in schema.get("prefixItems", [])]
+    if items and len(set(items)) == 1:
+        return f"a list of {len(items)}, each {items[0]}"
+    if items:
+        return f"a list of {len(items)}: {'; '.join(items)}"
+    low, high = schema.get("minItems", 0), schema.get("maxItems")
+    if low == high and low:
+        count = f"a list of {low}"
+    elif low:
+        count = f"a list of at least {low}" + ("" if high is None else f" and at most {high}")
+    else:
+        count = "a list" if high is None else f"a list of at most {high}"
+    each = expected(schema["items"], top) if isinstance(schema.get("items"), dict) else ""
+    return f"{count}, each {each}" if each and each != "any value" else count
+
+
+def _range(schema: Schema) -> str:
+    """The bounds of a number, as they follow the word `number`."""
+    low, above = schema.get("minimum"), schema.get("exclusiveMinimum")
+    high, below = schema.get("maximum"), schema.get("exclusiveMaximum")
+    if low is not None and high is not None:
+        return f" from {_number(low)} to {_number(high)}"
+    bounds = [
+        f"{word} {_number(bound)}"
+        for word, bound in (("at least", low), ("above", above), ("at most", high), ("below", below))
+        if bound is not None
+    ]
+    return " " + " and ".join(bounds) if bounds else ""
+
+
+def _number(bound: float) -> str:
+    return f"{bound:.15g}" if abs(bound) < MAX_EXACT else str(int(bound))
+
+
+def _problems(detail: ErrorDetails, top: Schema) -> Iterator[tuple[str, str, str]]:
+    """Key, what is wrong and what is allowed, of each problem that one complaint of Pydantic stands for."""
+    location, value = tuple(detail["loc"]), detail["input"]
+    key, schema = _key(location), _node(location, top)
+    match detail["type"]:
+        case "extra_forbidden":
+            known = [
+                name
+                for option in _options(_resolved(_node(location[:-1], top), top))
+                for name in _resolved(option, top).get("properties", {})
+            ]
+            yield key, "unknown key", _instead(str(location[-1]), known, top)
+        case "missing":
+            meaning = schema.get("description", "")
+            yield key, "missing", "give " + expected(schema, top) + (f" ({meaning})" if meaning else "")
+        case "value_error":
+            yield from _own_problems(key, value, detail.get("ctx", {})["error"])
+        case _:
+            allowed = expected(schema, top)
+            resolved = _resolved(schema, top)
+            names = _names(resolved, top)
+            if isinstance(value, str) and names and (meant := did_you_mean(value, names)):
+                allowed = f"{meant} {allowed}"
+            yield key, _what(value), allowed
+
+
+def _own_problems(key: str, value: Any, error: Exception) -> Iterator[tuple[str, str, str]]:
+    """The same of an exception that a validator of a model raised."""
+    if isinstance(error, InputError):
+        for problem in error.problems:
+            place = ".".join(part for part in (key, problem.where) if part)
+            yield place, problem.what or _what(value), problem.allowed
+        return
+    what, _, allowed = str(error).partition("; ")
+    yield (key, what, allowed) if allowed else (key, _what(value), what)
+
+
+def _what(value: Any) -> str:
+    if isinstance(value, list | tuple) and len(repr(value)) > MAX_SHOWN:
+        return f"a list of {len(value)}"
+    return "a table" if isinstance(value, dict) else shown(value)
+
+
+def _key(location: Location) -> str:
+    """A dotted key; what Pydantic adds for the keys of a dictionary is left out."""
+    return shorten(".".join(str(part) for part in location if part != "[key]"), MAX_SHOWN)
+
+
+def _instead(name: str, known: list[str], top: Schema) -> str:
+    """What to write instead of an unknown key, of which `known` are the keys beside it."""
+    if (new := renamed(name)) in known:
+        return f"renamed to {new}"
+    if meant := did_you_mean(name, known):
+        return meant
+    if place := next((path for path in _paths(top) if path.rpartition(".")[2] in (name, new)), None):
+        return f"did you mean {place!r}?"
+    return f"one of {', '.join(known)}"
+
+
+def renamed(name: str) -> str | None:
+    """Return the present name of a key of earlier versions; None if the name is not that of such a key."""
+    for old, new in RENAMED_BEGINNINGS.items():
+        if name.startswith(old):
+            return new + name.removeprefix(old)
+    return RENAMED_KEYS.get(name)
+
+
+def _names(schema: Schema, top: Schema) -> list[str]:
+    """The values of an enumeration; empty for everything else."""
+    options = [_resolved(option, top) for option in schema.get("anyOf", [schema])]
+    return [str(name) for option in options for name in option.get("enum", [])]
+
+
+def _resolved(schema: Schema, top: Schema) -> Schema:
+    """A schema with its reference, if it is one, replaced by what is referred to; its description is kept."""
+    if "$ref" not in schema:
+        return schema
+    found: Schema = top.get("$defs", {}).get(schema["$ref"].rsplit("/", 1)[-1], {})
+    own = {key: value for key, value in schema.items() if key == "description"}
+    return {**found, **own}
+
+
+def _node(location: Location, top: Schema) -> Schema:
+    """The schema of the value at a location; empty where the schema does not say."""
+    node = top
+    for part in location:
+        options = [_resolved(option, top) for option in _options(_resolved(node, top))]
+        node = next((below for below in (_below(option, part) for option in options) if below), {})
+    return node
+
+
+def _options(schema: Schema) -> list[Schema]:
+    options: list[Schema] = schema.get("anyOf", [schema])
+    return options
+
+
+def _below(schema: Schema, part: int | str) -> Schema:
+    """The schema of one item of a list, or of one key of a table; empty if it has none."""
+    found: Any = None
+    if isinstance(part, int):
+        first = schema.get("prefixItems", [])
+        found = first[part] if part < len(first) else schema.get("items")
+    else:
+        found = schema.get("properties", {}).get(part, schema.get("additionalProperties"))
+    return found if isinstance(found, dict) else {}
+
+
+def _paths(top: Schema) -> Iterator[str]:
+    """Every key of a schema as a dotted path, `*` for the items of lists, those of few levels first."""
+    waiting: list[tuple[str, Schema, int]] = [("", top, 0)]
+    while waiting:
+        prefix, node, level = waiting.pop(0)
+        for option in (_resolved(option, top) for option in _options(_resolved(node, top))):
+            for key, value in option.get("properties", {}).items():
+                yield f"{prefix}{key}"
+                if level < MAX_LEVELS:
+                    waiting.append((f"{prefix}{key}.", value, level + 1))
+            if isinstance(option.get("items"), dict) and level < MAX_LEVELS:
+                waiting.append((f"{prefix}*.", option["items"], level + 1))

@@ -1,0 +1,53 @@
+"""Options that several verbs have, with one name, one meaning and one help text each."""
+
+from typing import Annotated
+
+import typer
+
+from skyherd.cli.choices import DETECTORS, complete_detector, complete_dictionary
+
+Dictionary = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="Dictionary of the markers, such as APRILTAG_36h11 or DICT_4X4_50. `skyherd markers --help` "
+        "lists them.",
+        autocompletion=complete_dictionary,
+    ),
+]
+
+Detector = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help=f"Detector to use: {', '.join(DETECTORS)}, or module:factory.",
+        autocompletion=complete_detector,
+    ),
+]
+
+BorderBits = Annotated[
+    int,
+    typer.Option(
+        "--border-bits", metavar="N", min=1, max=3, help="Width of the markers' black border, in cells."
+    ),
+]
+
+Inverted = Annotated[bool, typer.Option("--inverted", help="Look for markers that are white on black.")]
+
+ScenarioSettings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Replace a value of the scenario, such as control.k=0.2. It may be given several times.",
+    ),
+]
+
+ForceFolder = Annotated[
+    bool,
+    typer.Option(
+        "--force", help="Write into an existing folder. Only files of an earlier call are replaced."
+    ),
+]
+
+ForceFile = Annotated[bool, typer.Option("--force", help="Replace a file of an earlier call.")]

@@ -252,7 +252,7 @@ def test_input_that_is_no_file_protects_nothing(tmp_path, name):
     assert (out / "a.txt").read_text() == "again"
 
 
-def test_input_among_former_files_stays_when_it_is_claimed_no_more(tmp_path):
+def test_unclaimed_input_among_former_files_stays(tmp_path):
     out = tmp_path / "out"
     make(out, names=["a.txt", "old.txt", "older.txt"])
     make(out, "again", names=["a.txt"], force=True, inputs=[out / "old.txt"])
@@ -262,7 +262,7 @@ def test_input_among_former_files_stays_when_it_is_claimed_no_more(tmp_path):
 
 @pytest.mark.parametrize("kept", [False, True])
 @pytest.mark.parametrize("fails", [False, True])
-def test_new_folder_without_files_is_removed_after_a_failure_only(tmp_path, kept, fails):
+def test_empty_new_folder_is_removed_only_after_failure(tmp_path, kept, fails):
     out = tmp_path / "new" / "out"
     try:
         with OutputFolder(out, "run", NAMES) as output:
@@ -364,7 +364,7 @@ def test_folder_without_the_right_to_write_is_refused(tmp_path, monkeypatch, mis
     assert not (tmp_path / "new").exists()
 
 
-def test_failure_of_the_disk_at_the_end_is_told_and_releases_the_lock(tmp_path, monkeypatch):
+def test_disk_failure_at_end_is_reported_and_releases_lock(tmp_path, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 

@@ -464,3 +464,16 @@ def test_single_file_is_replaced_only_if_own_and_forced(tmp_path):
     assert path.read_text() == "a thesis"
     with pytest.raises(InputError, match="no folder"), OutputFile(tmp_path / "no" / "a.pdf", "markers"):
         pass
+
+
+@pytest.mark.parametrize("name", ["../mine.txt", "a/../../mine.txt", ""])
+def test_record_that_leads_out_of_the_folder_is_refused(tmp_path, name) -> None:
+    """A crafted record must not let `--force` remove a file of the user elsewhere."""
+    folder, mine = tmp_path / "out", tmp_path / "mine.txt"
+    folder.mkdir()
+    mine.write_text("mine")
+    record = {"about": "", "skyherd": "0", "files": {name: {"made_by": "run"}}}
+    (folder / ".skyherd.json").write_text(json.dumps(record))
+    with pytest.raises(InputError, match="names '"), OutputFolder(folder, "run", ["a.txt"], force=True):
+        pass
+    assert mine.read_text() == "mine"

@@ -316,3 +316,12 @@ def test_armed_robot_counts_if_it_knows_the_cleared_stop(cleared, counts) -> Non
     team.pass_time(0.05)
     command.advance()
     assert (3 in command.outcome().done) == counts
+
+
+def test_process_is_alive_for_two_seconds_after_a_heartbeat() -> None:
+    team = ScriptedTeam()
+    team.pass_time(0.0)
+    heard_s, name = team.now_s, f"robot/{LAB.ids[0]}"
+    for silence_s, alive in ((0.0, True), (1.9, True), (2.1, False), (60.0, False)):
+        team.now_s = heard_s + silence_s
+        assert (name in team.watched.alive()) == alive

@@ -402,6 +402,19 @@ def test_robot_after_sleep_waits_for_newly_sent_message() -> None:
     assert scene.step().reason == DRIVING
 
 
+@pytest.mark.parametrize("session", ["", "99.000000/0", "another"])
+def test_arm_command_of_another_session_does_nothing(session) -> None:
+    """A robot that restarted is in another session than the command names."""
+    scene = Scene()
+    scene.wake()
+    scene.see()
+    scene.core.receive(Envelope("operator", scene.now_s, Arm({"robot/3": session})), scene.now_s)
+    scene.core.receive(Envelope("operator", scene.now_s, Arm({"robot/4": scene.core.session})), scene.now_s)
+    assert not scene.core.armed
+    scene.arm()
+    assert scene.core.armed
+
+
 def test_image_age_is_that_of_the_newest_goal() -> None:
     scene = Scene(offset_s=0.3)
     assert scene.core.image_age_s(scene.now_s) is None

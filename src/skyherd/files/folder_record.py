@@ -13,6 +13,7 @@ from typing import Any
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
 from skyherd.files.reading import read_json
+from skyherd.text import printable, shorten
 from skyherd.version import __version__
 
 RECORD = ".skyherd.json"
@@ -47,12 +48,17 @@ def read_entries(folder: Path) -> dict[str, Entry]:
     allowed = "remove it; all files in the folder then count as foreign"
     record = read_json(path, allowed)
     try:
-        return {
+        entries = {
             str(name): Entry(str(said["made_by"]), said.get("sha256"))
             for name, said in record["files"].items()
         }
     except (AttributeError, KeyError, TypeError):
         raise InputError(str(path), "damaged", allowed) from None
+    for name in entries:
+        # A name that leads out of the folder would let `--force` remove a file elsewhere.
+        if not name or Path(name).is_absolute() or ".." in Path(name).parts:
+            raise InputError(str(path), f"names {shorten(printable(name), 60)!r}", allowed)
+    return entries
 
 
 def write_record(folder: Path, entries: Mapping[str, Entry], *, writer: str | None = None) -> None:

@@ -23,7 +23,7 @@ BoolArray = npt.NDArray[np.bool_]
 """An array of booleans, mostly a mask."""
 
 Image = npt.NDArray[np.uint8]
-"""A grey image (height, width), row 0 at the top; (u, v) = (0, 0) is the centre of the first pixel."""
+"""An image of 8 bits: grey levels (height, width), or RGB (height, width, 3); docstrings name the kind."""
 
 RgbImage = npt.NDArray[np.uint8]
 """An RGB image (height, width, 3), with the pixel coordinates of `Image`."""

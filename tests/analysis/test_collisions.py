@@ -34,7 +34,7 @@ def moved(history: History, *changes: tuple[int, int, tuple[float, float]]) -> H
     return replace(history, positions_m=positions)
 
 
-def test_nothing_touches(history) -> None:
+def test_separate_robots_have_no_collision(history) -> None:
     """Robots 3 m apart with bodies of 0.25 m."""
     told = summarize(moved(history), 1.0)
     assert told["collisions"] == 0
@@ -42,8 +42,8 @@ def test_nothing_touches(history) -> None:
     assert told["path_length_m"] == 0
 
 
-def test_each_overlap_of_each_pair_is_counted_once(history) -> None:
-    """Two steps long and then again; two pairs at once; with an obstacle; and one that only comes near."""
+def test_overlap_of_each_pair_is_counted_once(history) -> None:
+    """Overlaps last two steps, recur, coincide, and involve an obstacle; one body only comes near."""
     beside = (0.4, 10.0)
     assert summarize(moved(history, (2, 1, beside), (3, 1, beside)), 1.0)["collisions"] == 1
     assert summarize(moved(history, (2, 1, beside), (4, 1, beside)), 1.0)["collisions"] == 2
@@ -57,15 +57,15 @@ def test_each_overlap_of_each_pair_is_counted_once(history) -> None:
     assert near["min_gap_m"] == pytest.approx(0.01)
 
 
-def test_points_do_not_collide(scenario_tree) -> None:
+def test_point_robots_have_no_collision(scenario_tree) -> None:
     mission = make_mission(scenario_tree("triangle") | {"perception": "ideal", "duration_s": 1.0})
     told = summarize(make_history(mission, run_steps(mission)), 1.0)
     assert told["collisions"] == 0
     assert told["min_gap_m"] == pytest.approx(told["min_separation_m"], rel=1e-12)
 
 
-def test_no_run_is_shorter_than_the_shortest_path(ideal_triangle) -> None:
-    """Up to what its end lacks: `Σ d <= sqrt(N Σ d²)`, which is N times shape error times RMS radius."""
+def test_run_path_is_not_below_shortest_path(ideal_triangle) -> None:
+    """Up to the final shape error: `Σ d <= sqrt(N Σ d²)`, N times shape error times RMS radius."""
     mission = load_mission("triangle", ["perception=ideal", "duration_s=80"])
     history = make_history(mission, ideal_triangle)
     told, end = summarize(history, 1.0), history.positions_m[-1]
@@ -74,7 +74,7 @@ def test_no_run_is_shorter_than_the_shortest_path(ideal_triangle) -> None:
     assert 0.1 * told["path_length_m"] < told["shortest_path_m"] <= told["path_length_m"] + lacking_m
 
 
-def test_exchanges_are_instants_and_the_first_choice_is_one(history) -> None:
+def test_exchanges_count_instants_and_first_choice(history) -> None:
     steps = len(history.times_s)
     roles = np.repeat(np.arange(6)[None], steps, axis=0)
     assert summarize(replace(history, roles=roles), 1.0)["role_exchanges"] == 0
@@ -88,8 +88,8 @@ def test_exchanges_are_instants_and_the_first_choice_is_one(history) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["scramble", "obstacles"])
-def test_crowds_come_into_shape_without_a_collision(name: str) -> None:
-    """And not by a detour: at most half as long again as the straight lines that hindsight has."""
+def test_crowd_converges_without_collision(name: str) -> None:
+    """Without a detour: at most 1.5 times the shortest straight paths."""
     mission = load_mission(name, ["perception=noisy"])
     told = summarize(make_history(mission, run_steps(mission)), 1.0)
     assert told["converged"]

@@ -78,7 +78,7 @@ def eigenvectors(base: History) -> np.ndarray:
     return free @ eigh(free.conj().T @ second @ free, free.conj().T @ first @ free)[1]
 
 
-def test_the_ratio_and_the_rate_are_those_of_the_quadratic_forms(base: History) -> None:
+def test_ratio_and_rate_match_quadratic_forms(base: History) -> None:
     """μ and λ_0 from p* L p and the exact flow, to the rounding of sums of a hundred squares."""
     history = flown(base, 6)
     assert history.conditions.all()
@@ -95,7 +95,7 @@ def test_the_ratio_and_the_rate_are_those_of_the_quadratic_forms(base: History) 
     assert told.mean_s == pytest.approx(6 * SLOT * STEP_S / 5)
 
 
-def test_the_inequality_of_the_average_dwell_time_holds_along_the_run(base: History) -> None:
+def test_average_dwell_time_inequality_holds_along_run(base: History) -> None:
     """V(T) <= μ^N exp(-λ_0 T) V(0) at all changes, and not without μ."""
     worst = before_a_change(base, eigenvectors(base)[:, -1])
     for start in (None, worst):
@@ -109,8 +109,8 @@ def test_the_inequality_of_the_average_dwell_time_holds_along_the_run(base: Hist
     assert history.V[SLOT] > 1.5 * falling[1], "V rises at the first change, from the worst start"
 
 
-def test_the_bound_of_the_linear_model_is_reached_and_never_passed(base: History) -> None:
-    """μ over all positions is the greatest generalised eigenvalue, which its own eigenvector attains."""
+def test_linear_model_bound_is_tight(base: History) -> None:
+    """μ over all positions is the greatest generalised eigenvalue, attained by its eigenvector."""
     first, second = (form(base.mission, sets) for sets in CHAIN)
     free = np.linalg.eigh(first)[1][:, 2:]  # all but the similarities
     values = eigh(free.conj().T @ second @ free, free.conj().T @ first @ free, eigvals_only=True)
@@ -125,20 +125,20 @@ def test_the_bound_of_the_linear_model_is_reached_and_never_passed(base: History
     assert usual.decay_ps is not None and usual.decay_ps >= 2 * 0.15 * min(rates)
 
 
-def test_without_a_change_nothing_is_asked(base: History) -> None:
+def test_run_without_switch_needs_no_dwell_time(base: History) -> None:
     told = estimate_dwell_time(flown(base, 1))
     assert told.decay_ps is not None and told.decay_ps > 0
     assert told == DwellTime(decay_ps=told.decay_ps)
 
 
-def test_where_v_rises_at_no_change_no_dwell_time_is_needed(base: History) -> None:
-    """At positions where the second topology's V is the least share of the first's, V falls at the change."""
+def test_needed_time_is_zero_if_v_never_rises(base: History) -> None:
+    """The second topology's V is the least share of the first's, so that V falls at the switch."""
     told = estimate_dwell_time(flown(base, 2, before_a_change(base, eigenvectors(base)[:, 0])))
     assert told.switch_ratio is not None and told.switch_ratio < 1
     assert told.needed_s == 0
 
 
-def test_a_v_that_does_not_fall_has_no_dwell_time(base: History) -> None:
+def test_needed_time_is_none_if_v_does_not_fall(base: History) -> None:
     history = flown(base, 4)
     backwards = replace(
         history,
@@ -146,14 +146,14 @@ def test_a_v_that_does_not_fall_has_no_dwell_time(base: History) -> None:
         V=history.V[::-1],
         controlled=history.controlled[::-1],
     )
-    # V is least at the first step: all later ones are above its floor
+    # V is least at the first step: all later values exceed its floor.
     told = estimate_dwell_time(backwards)
     assert told.decay_ps is not None and told.decay_ps < 0
     assert told.needed_s is None
 
 
-def test_what_v_does_in_the_shape_is_not_counted(base: History) -> None:
-    """From 5 steps before the last slot on robots are back at their start, and said to be in the shape."""
+def test_steps_in_shape_are_not_counted(base: History) -> None:
+    """From 5 steps before the last slot, robots are back at their start, marked as in the shape."""
     whole, end = flown(base, 4), 3 * SLOT
     positions_m, V, errors = whole.positions_m.copy(), whole.V.copy(), np.ones_like(whole.V)
     positions_m[end - 5 :], V[end - 5 : end], V[end:] = positions_m[0], V[0], 100 * V[0]
@@ -168,8 +168,8 @@ def test_what_v_does_in_the_shape_is_not_counted(base: History) -> None:
     assert told.mean_s == pytest.approx((end - 5) * STEP_S / 2)
 
 
-def test_a_change_in_the_shape_tells_no_dwell_time(base: History) -> None:
-    """Of three changes, the first of which is in the shape and soon followed by the second."""
+def test_switch_in_shape_gives_no_dwell_time(base: History) -> None:
+    """The first of three switches is in the shape and soon followed by the second."""
     whole = flown(base, 4)
     controlled = whole.controlled.copy()
     controlled[SLOT - 1] = controlled[SLOT - 2, ::-1]  # three changes at once, while in the shape
@@ -180,10 +180,10 @@ def test_a_change_in_the_shape_tells_no_dwell_time(base: History) -> None:
     assert estimate_dwell_time(replace(whole, shape_error=errors)).switch_ratio is None
 
 
-def test_topologies_without_tc1_and_tc2_count_as_changes_and_tell_neither_ratio_nor_rate(
+def test_switch_without_tc1_tc2_has_no_ratio_and_rate(
     base: History,
 ) -> None:
-    """The second slot has lost a unit: its V is of other robots' distances, and may do what it likes."""
+    """The second slot has lost a unit: its V covers other distances and is not comparable."""
     history, gone = flown(base, 4), slice(SLOT, 2 * SLOT)
     broken, V, controlled = history.conditions.copy(), history.V.copy(), history.controlled.copy()
     broken[gone, 1], controlled[gone, 2], V[gone] = False, False, 1e-3 * V[gone]
@@ -203,8 +203,8 @@ def before_change(history: History, row: int) -> float:
     return float(np.vdot(p, form(history.mission, sets) @ p).real) / 2
 
 
-def test_new_roles_end_a_stretch_and_are_no_change_of_the_topology(base: History) -> None:
-    """V jumps as two robots exchange roles within a slot, and with a change: neither is in rate or ratio."""
+def test_new_roles_end_stretch_without_switch(base: History) -> None:
+    """V jumps at role exchanges within a slot and at a switch; neither enters rate or ratio."""
     plain, observer = flown(base, 3), TruthObserver(base.mission.template, base.mission.ids)
     for at in (SLOT - 5, 2 * SLOT):
         roles, V, positions_m = plain.roles.copy(), plain.V.copy(), plain.positions_m.copy()
@@ -222,7 +222,7 @@ def test_new_roles_end_a_stretch_and_are_no_change_of_the_topology(base: History
 
 
 @pytest.mark.parametrize("setting", ["gains='pixel'", "method='affine-leaderless'"])
-def test_other_laws_have_no_bound(base: History, setting: str) -> None:
+def test_bound_is_none_for_other_laws(base: History, setting: str) -> None:
     key, value = setting.split("=")
     scenario = base.mission.scenario
     control = scenario.control.model_copy(update={key: value.strip("'")})
@@ -234,7 +234,7 @@ def test_other_laws_have_no_bound(base: History, setting: str) -> None:
     assert estimate_dwell_time(history).needed_s is not None
 
 
-def test_so_many_robots_have_no_bound(base: History, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bound_is_none_above_robot_limit(base: History, monkeypatch: pytest.MonkeyPatch) -> None:
     history = flown(base, 2)
     assert estimate_dwell_time(history).bound_s is not None
     monkeypatch.setattr(dwell_time, "MAX_ROBOTS", 15)
@@ -242,15 +242,15 @@ def test_so_many_robots_have_no_bound(base: History, monkeypatch: pytest.MonkeyP
     assert estimate_dwell_time(history).needed_s is not None
 
 
-def test_a_mission_that_never_is_ready_has_none(base: History) -> None:
+def test_dwell_times_are_none_if_never_ready(base: History) -> None:
     selection = base.mission.scenario.selection.model_copy(update={"kind": "tree"})
     scenario = base.mission.scenario.model_copy(update={"selection": selection})
     history = replace(flown(base, 2), mission=replace(base.mission, scenario=scenario))
     assert estimate_dwell_time(history) == DwellTime()
 
 
-def test_a_new_shape_ends_a_stretch_and_is_no_change_of_the_topology(base: History) -> None:
-    """Half-way through a slot, from when on robots stand still: V jumps then, and the rate is of before."""
+def test_new_shape_ends_stretch_without_switch(base: History) -> None:
+    """V jumps half-way through a slot, and robots stand still after it; the rate is that before."""
     at, template = SLOT // 2, base.mission.template
     other = replace(template, points_px=template.points_px.real + 0.1j * template.points_px.imag)
     mission = replace(base.mission, later=((at * STEP_S, other),))

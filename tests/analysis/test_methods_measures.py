@@ -30,7 +30,7 @@ def cloud(rng: np.random.Generator, count: int) -> np.ndarray:
     return rng.standard_normal(count) + 1j * rng.standard_normal(count)
 
 
-def test_stretched_and_sheared_images_are_no_error() -> None:
+def test_affine_error_is_zero_for_affine_image() -> None:
     rng = np.random.default_rng(1)
     shape = cloud(rng, 9)
     image = 2.0 + shape.real * (0.3 + 1j) + shape.imag * (2.0 - 0.1j)
@@ -38,7 +38,7 @@ def test_stretched_and_sheared_images_are_no_error() -> None:
     assert fit_shape(shape, image).error > 0.3
 
 
-def test_the_nearest_affine_image_is_nearer_than_any_other_and_than_the_similar_one() -> None:
+def test_affine_error_is_minimal() -> None:
     rng = np.random.default_rng(2)
     shape, places = cloud(rng, 9), cloud(rng, 9)
     error, radius = affine_error(shape, places), np.linalg.norm(places - places.mean())
@@ -56,7 +56,7 @@ def history():
     return make_history(mission, run_steps(mission))
 
 
-def test_the_time_of_an_affine_image_counts_to_the_end_and_only_if_it_was_held(history) -> None:
+def test_affine_time_requires_hold_to_end(history) -> None:
     errors, times_s = history.affine_error, history.times_s
     assert errors.shape == times_s.shape
     for limit in (errors[60], errors[-1] * 0.5, errors[-12]):
@@ -68,13 +68,13 @@ def test_the_time_of_an_affine_image_counts_to_the_end_and_only_if_it_was_held(h
         assert np.isnan(reached_s) if not held else reached_s == times_s[under[0]]
 
 
-def test_waypoints_go_from_start_to_end(history) -> None:
+def test_waypoints_cover_start_to_end(history) -> None:
     places = history.waypoints_m
     assert places.shape == (WAYPOINTS, 16, 2)
     np.testing.assert_allclose(places[[0, -1]], history.positions_m[[0, -1]], atol=0.0006)
 
 
-def test_the_shortest_way_is_of_the_start_alone_and_below_that_of_fixed_roles(history) -> None:
+def test_min_path_depends_on_start_only(history) -> None:
     template = history.mission.template.points_of(history.ids).conj()
     start = history.positions_m[0] @ np.array([1, 1j])
     fixed = shortest_path(template, start, classes=np.arange(16)).length
@@ -84,8 +84,8 @@ def test_the_shortest_way_is_of_the_start_alone_and_below_that_of_fixed_roles(hi
 
 
 @pytest.mark.parametrize("method", LAWS)
-def test_what_a_law_needs_is_counted_link_by_link_and_step_by_step(method) -> None:
-    """By hand: five steps of 0.2 s are a second."""
+def test_law_traffic_counts_links_and_steps(method) -> None:
+    """Counted by hand: five steps of 0.2 s are a second."""
     settings = [*LAW, f"control.method={method}", "duration_s=0.8", "size.unit_m=4"]
     mission = load_mission("crowd", settings)
     history = make_history(mission, run_steps(mission))
@@ -95,7 +95,7 @@ def test_what_a_law_needs_is_counted_link_by_link_and_step_by_step(method) -> No
     assert history.numbers_per_robot_s == pytest.approx(5 * links * LAWS[method].numbers / 16)
 
 
-def test_of_a_law_of_ones_own_nobody_knows(tmp_path, monkeypatch) -> None:
+def test_user_law_traffic_is_unknown(tmp_path, monkeypatch) -> None:
     (tmp_path / "still_law.py").write_text(
         "def still(shape, gain_ps):\n    return lambda places: 0 * places\n"
     )
@@ -105,8 +105,8 @@ def test_of_a_law_of_ones_own_nobody_knows(tmp_path, monkeypatch) -> None:
     assert np.isnan([history.messages_per_robot_s, history.numbers_per_robot_s]).all()
 
 
-def test_messages_of_units_are_counted_as_robots_and_units_receive_them(monkeypatch) -> None:
-    """Beside the loop: each robot's own part of goals and of bodies near it, and each report of a unit."""
+def test_unit_traffic_counts_messages_per_receiver(monkeypatch) -> None:
+    """Counted beside the loop: each robot's part of goals and proximity, and each report of a unit."""
     received, reports = [], []
     decide, step = GoalFollowers.decide, AerialController.step
 
@@ -139,8 +139,8 @@ def test_messages_of_units_are_counted_as_robots_and_units_receive_them(monkeypa
     assert points < in_reports < 12 * points
 
 
-def test_a_law_that_a_recording_names_is_not_imported_to_count_its_messages(tmp_path, monkeypatch) -> None:
-    """A recording may be a stranger's: nothing in it is run, and of a law of one's own nothing is known."""
+def test_traffic_does_not_import_recorded_law(tmp_path, monkeypatch) -> None:
+    """A recording may be untrusted: nothing in it is run, and a user's law has unknown traffic."""
     (tmp_path / "strangers_law.py").write_text("raise SystemExit('this ran')")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)

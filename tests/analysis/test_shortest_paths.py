@@ -63,8 +63,8 @@ def assert_places_belong(path, template: ComplexArray, starts: ComplexArray) -> 
         pytest.param(2, 2.0, marks=pytest.mark.slow),
     ],
 )
-def test_no_assignment_of_all_does_better(seed: int, spacing: float) -> None:
-    """All 120 of five robots, each by another method: the reference may end above its least, not below.
+def test_five_robots_reach_global_optimum(seed: int, spacing: float) -> None:
+    """All 120 assignments, by another method: the reference may end above its optimum, not below.
 
     It smooths each distance by 1e-7, five of them; it stops at slopes of 1e-6.
     """
@@ -86,8 +86,8 @@ def test_no_assignment_of_all_does_better(seed: int, spacing: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
-def test_of_six_it_is_never_below_the_least_and_hardly_above(seed: int) -> None:
-    """All 720 by the other method. Assignment and similarity in turn may end beside the least: seed 0 does.
+def test_six_robots_stay_within_one_percent_of_optimum(seed: int) -> None:
+    """All 720 assignments, by another method. Alternating minimisation may miss the optimum: seed 0 does.
 
     There it is 0.9 % above, one exchange of two robots away; the others agree to the reference's smoothing.
     """
@@ -100,15 +100,15 @@ def test_of_six_it_is_never_below_the_least_and_hardly_above(seed: int) -> None:
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("seed", range(5))
-def test_robots_that_stand_in_the_shape_need_not_move(seed: int) -> None:
-    """In any order, at any place, size and turn: to rounding."""
+def test_start_in_shape_has_zero_length(seed: int) -> None:
+    """Any order, position, size and rotation, to rounding."""
     rng = np.random.default_rng([seed, 1])
     template = random_points(rng, 24)
     starts = 1.7 * np.exp(1j * rng.uniform(0, 6)) * template[rng.permutation(24)] + 3 - 4j
     assert shortest_path(template, starts).length < 1e-9
 
 
-def test_one_robot_astray_goes_home_alone() -> None:
+def test_single_displaced_robot_moves_alone() -> None:
     """The sum of distances, unlike that of squares, leaves the others where they are."""
     rng = np.random.default_rng(2)
     template = random_points(rng, 12)
@@ -119,7 +119,7 @@ def test_one_robot_astray_goes_home_alone() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_turns_moves_and_grows_with_the_start_and_not_with_the_template(seed: int) -> None:
+def test_length_scales_with_start_not_template(seed: int) -> None:
     rng = np.random.default_rng([seed, 3])
     template, starts = random_points(rng, 10), random_points(rng, 10)
     length = shortest_path(template, starts).length
@@ -129,8 +129,8 @@ def test_it_turns_moves_and_grows_with_the_start_and_not_with_the_template(seed:
 
 
 @pytest.mark.parametrize("drawn", [2, pytest.param(5, marks=pytest.mark.slow)])
-def test_less_freedom_is_never_shorter(drawn: int) -> None:
-    """Fixed roles, then two classes, then all alike; and a spacing costs, and is kept."""
+def test_constraints_never_shorten_path(drawn: int) -> None:
+    """Fixed roles, then two classes, then one class; a spacing costs length and is met."""
     rng = np.random.default_rng(5)
     for _ in range(drawn):
         template, starts = random_points(rng, 14), 2 * random_points(rng, 14)

@@ -43,7 +43,7 @@ PATH = ([10, 11, 12, 13], [12, 13, 14, 15], [14, 15, 16, 17])
 
 
 @pytest.mark.smoke
-def test_a_path_breaks_nothing() -> None:
+def test_path_graph_has_no_breach() -> None:
     report = report_of(*PATH)
     assert report.breaches == []
     assert report.conditions.in_p
@@ -58,7 +58,7 @@ def test_a_path_breaks_nothing() -> None:
             ([10, 11, 12, 13], [14, 15, 16, 17]), [1, 5], {1: ["0 | 1"], 5: ["TC1"]}, id="two islands"
         ),
         pytest.param(
-            ([10, 11, 12, 13], [12, 13, 14]), [2], {2: ["robots 15, 16, 17"]}, id="robots of nobody"
+            ([10, 11, 12, 13], [12, 13, 14]), [2], {2: ["robots 15, 16, 17"]}, id="robots without unit"
         ),
         pytest.param(
             ([10, 11, 12, 13, 14], [12, 13, 14, 15, 16, 17]),
@@ -96,8 +96,8 @@ def test_breaches_name_units_and_robots(sets, conditions, said) -> None:
 
 
 @pytest.mark.parametrize("tried", [200, pytest.param(500, marks=pytest.mark.slow)])
-def test_breaches_are_there_if_and_only_if_a_condition_is_violated(tried: int) -> None:
-    """Random topologies: the report and `check_conditions`, which was written apart from it, agree."""
+def test_breaches_agree_with_check_conditions(tried: int) -> None:
+    """On random topologies, report and the independent `check_conditions` agree."""
     rng = np.random.default_rng(3)
     for _ in range(tried):
         sets = [IDS[rng.random(8) < rng.uniform(0.1, 0.9)].tolist() for _ in range(int(rng.integers(1, 6)))]
@@ -106,7 +106,7 @@ def test_breaches_are_there_if_and_only_if_a_condition_is_violated(tried: int) -
         assert {b.condition for b in report.breaches} == {k for k, good in enumerate(holds, 1) if not good}
 
 
-def test_predicted_time_is_when_the_linear_flow_gets_there() -> None:
+def test_predicted_time_matches_linear_flow() -> None:
     """Against the matrix exponential: the shape error is 1 % then, to the root's tolerance."""
     rng = np.random.default_rng(4)
     report, gain = report_of(*PATH), 0.4
@@ -119,14 +119,14 @@ def test_predicted_time_is_when_the_linear_flow_gets_there() -> None:
     assert fit_shape(TEMPLATE.points_px.conj(), moved).error == pytest.approx(0.01, rel=1e-6)
 
 
-def test_a_topology_that_leaves_the_shape_free_never_gets_there() -> None:
+def test_predicted_time_is_none_for_free_shape() -> None:
     report = report_of([10, 11, 12, 13], [14, 15, 16, 17])
     assert predicted_time_s(report.sets, TEMPLATE, to_complex(RNG.uniform(-5, 5, (8, 2))), 0.4, 0.01) is None
 
 
 @pytest.mark.parametrize("floor", [0.0, 1e-3])
-def test_the_measured_rate_is_that_of_an_exponential(floor) -> None:
-    """Two modes, one fast; with a floor added the fit stays above three times of it.
+def test_measured_rate_matches_exponential(floor) -> None:
+    """Two modes, one fast; with a floor, the fit stays above three times the floor.
 
     By the second half (t > 20 s) the fast mode is below e^-14 of the slow one. A floor f is at most a third
     of the error, which takes that share off the slope at the end, and far less at the beginning.
@@ -138,7 +138,7 @@ def test_the_measured_rate_is_that_of_an_exponential(floor) -> None:
     assert rate == pytest.approx(0.08, rel=0.2 if floor else 1e-3)
 
 
-def test_too_short_a_stretch_has_no_rate() -> None:
+def test_measured_rate_is_none_for_short_stretch() -> None:
     assert measured_rate_ps(np.arange(10.0), np.exp(-np.arange(10.0))) is None
 
 
@@ -152,9 +152,9 @@ def small() -> History:
     return make_history(mission, run_steps(mission))
 
 
-def test_predicted_and_measured_rate_agree_on_a_small_mission(small: History) -> None:
-    """The linear law leaves out that robots must turn. Late, the slowest mode is left, in which they drive
-    steadily, so that turning hardly counts; a tenth is for what is left of the faster modes.
+def test_predicted_rate_matches_measured_in_small_mission(small: History) -> None:
+    """The linear law ignores that robots must turn. The slowest mode dominates late, with steady driving, so
+    that turning barely matters. A tenth is allowed for the faster modes.
     """
     stretch = last_stretch(small)
     sets = {unit: small.ids[mine] for unit, mine in enumerate(small.controlled[-1])}
@@ -163,7 +163,7 @@ def test_predicted_and_measured_rate_agree_on_a_small_mission(small: History) ->
     assert measured == pytest.approx(small.mission.scenario.control.k * report.slowest, rel=0.1)
 
 
-def test_summary_counts_from_when_the_tree_is_complete(small: History) -> None:
+def test_violations_count_from_complete_tree(small: History) -> None:
     summary = summarize(small, 1.0)
     ready_s = summary["ready_s"]
     assert 0 < ready_s < 60
@@ -176,9 +176,9 @@ def test_summary_counts_from_when_the_tree_is_complete(small: History) -> None:
     assert {field.key for group in GROUPS.values() for field in group} < set(summary)
 
 
-def test_switches_add_up_to_the_last_topology(small: History) -> None:
-    """Replaying the words gives the owners of each robot at the end."""
-    owners = {int(robot): "nobody" for robot in small.ids}
+def test_changes_replay_to_last_topology(small: History) -> None:
+    """Replaying the sentences gives the final units of each robot."""
+    owners = {int(robot): "no unit" for robot in small.ids}
     for switch in find_topology_changes(small):
         if not switch.what.startswith("robot"):
             continue
@@ -193,12 +193,11 @@ def test_switches_add_up_to_the_last_topology(small: History) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_robots_that_stop_below_a_threshold_are_not_farther_from_the_shape_than_told(seed) -> None:
-    """The law with a threshold, until all rest: every state of rest is inside the bound.
+def test_resting_error_bounds_all_rest_states(seed) -> None:
+    """The law with a threshold runs until all robots rest: every rest state is inside the bound.
 
-    The start is in the slowest mode, which comes to rest farthest out; it rests at least at a tenth of the
-    bound there, so that the bound is of the right size: with N robots b / λ holds for all at once only if
-    they are equally far off.
+    The start is in the slowest mode, which rests farthest out. It rests at a tenth of the bound or more, so
+    that the bound has the right magnitude. With N robots, b / λ is reached only if all are equally far off.
     """
     rng = np.random.default_rng(seed)
     points, threshold, step = rng.normal(size=12) + 1j * rng.normal(size=12), 0.01, 0.2

@@ -62,8 +62,8 @@ frames = cache(make_frames)
 """Return the same frames, made once for all tests."""
 
 
-def test_the_design_covers_every_factor_and_fixes_all_others():
-    """In a sweep one factor differs from the base cell, in the grid side and noise alone."""
+def test_design_varies_one_factor_at_a_time():
+    """In a sweep one factor differs from the base cell, in the grid only side and noise."""
     cells = full_design()
     base = cells[0]
     assert base == Cell()
@@ -83,7 +83,7 @@ def test_the_design_covers_every_factor_and_fixes_all_others():
     assert [cell.clutter for cell in full_design(0) if cell.sweep == EMPTY] == []
 
 
-def test_blur_is_each_cameras_own_and_covers_its_range():
+def test_camera_blurs_cover_range():
     cell = Cell()
     blurs = [cell.blur_of(camera) for camera in range(cell.cameras)]
     assert 0.5 < min(blurs) < 0.6 and 1.4 < max(blurs) < 1.5
@@ -91,7 +91,7 @@ def test_blur_is_each_cameras_own_and_covers_its_range():
     assert replace(cell, blur_px=0.7).blur_of(2) == 0.7
 
 
-def test_the_same_seed_gives_the_same_frames_and_another_does_not():
+def test_frames_depend_on_seed_only():
     one, same, other = frames(Cell()), make_frames(Cell()), frames(Cell(), seed=4)
     for a, b in zip(one, same, strict=True):
         np.testing.assert_array_equal(a.image, b.image)
@@ -99,7 +99,7 @@ def test_the_same_seed_gives_the_same_frames_and_another_does_not():
     assert not np.array_equal(one[0].image, other[0].image)
 
 
-def test_another_dictionary_changes_bits_and_nothing_else():
+def test_dictionary_changes_only_bits():
     for a, b in zip(frames(Cell()), frames(Cell(), dictionary="APRILTAG_36h11"), strict=True):
         np.testing.assert_array_equal(a.ids, b.ids)
         np.testing.assert_allclose(a.headings_rad, b.headings_rad)
@@ -111,8 +111,8 @@ def test_another_dictionary_changes_bits_and_nothing_else():
     "cell",
     [Cell(), Cell(side_px=100.0), Cell(side_px=8.0), Cell(tilt_deg=30.0), Cell(touching=0.5)],
 )
-def test_markers_lie_whole_in_the_image_apart_and_of_the_right_size(cell):
-    """Sides are the cell's to 0.1 % seen from above; under tilt they are at the image's centre alone."""
+def test_markers_are_whole_apart_and_of_given_size(cell):
+    """Sides match the cell to 0.1 % seen from above; under tilt only at the image's centre."""
     for frame in frames(cell):
         assert frame.whole.all()
         assert len(frame.ids) == 16 if cell.tilt_deg == 0 else len(frame.ids) >= 4
@@ -124,7 +124,7 @@ def test_markers_lie_whole_in_the_image_apart_and_of_the_right_size(cell):
         assert gaps[~np.eye(len(gaps), dtype=bool)].min() > 1.4 * cell.side_px
 
 
-def test_markers_move_slowly_enough_to_be_tracked():
+def test_marker_motion_is_trackable():
     shown = frames(Cell())
     for before, after in pairwise(shown[:2]):
         step = np.linalg.norm(after.centers_px - before.centers_px, axis=1)
@@ -146,7 +146,7 @@ def frame_of(**factors):
     return [first_frame(c) for c in (replace(cell, **factors), cell)]
 
 
-def test_motion_blur_widens_the_bound_and_smooths_the_image():
+def test_motion_blur_widens_bound_and_smooths_image():
     """An edge's variance grows as its blur: sqrt(1 + 16 / 24 / 0.72) = 1.39; edges along it stay sharp."""
     moved, still = frame_of(motion_px=4.0)
     np.testing.assert_allclose(moved.centers_px, still.centers_px)
@@ -155,8 +155,8 @@ def test_motion_blur_widens_the_bound_and_smooths_the_image():
     assert (np.einsum("nii->ni", moved.bounds) > 1.3 * np.einsum("nii->ni", still.bounds)).all()
 
 
-def test_uneven_light_spans_its_share_and_saturates_nothing():
-    """Light from 0.7 to 1.3 of its mean: the ground's grey follows, and bounds follow the light squared."""
+def test_uneven_light_spans_share_without_saturation():
+    """Light from 0.7 to 1.3 of its mean: ground grey follows it, and bounds its square."""
     uneven, even = frame_of(uneven=0.6)
     assert uneven.image.max() < 250
     ratio = uneven.image / even.image.astype(float)
@@ -168,8 +168,8 @@ def test_uneven_light_spans_its_share_and_saturates_nothing():
 
 
 @pytest.mark.parametrize("tilt_deg", [60.0, 70.0])
-def test_steep_tilts_show_slanted_markers_and_no_horizon(tilt_deg):
-    """All are whole, in the image, drawn (white card round black square), and of about the size asked for."""
+def test_steep_tilt_shows_no_horizon(tilt_deg):
+    """All markers are whole, drawn (white card round black square), and of about the given size."""
     for frame in frames(Cell(tilt_deg=tilt_deg)):
         assert frame.whole.all() and len(frame.ids) >= 4
         assert frame.sides_px.mean() == pytest.approx(30.0, rel=0.35) and (frame.sides_px > 10).all()
@@ -177,8 +177,8 @@ def test_steep_tilts_show_slanted_markers_and_no_horizon(tilt_deg):
         assert (frame.image > 200).mean() > 0.4 * (frame.sides_px**2).sum() / frame.image.size
 
 
-def test_touching_squares_are_black_at_the_corners_of_whole_cards():
-    """Black in the squares' middles, white beside the middles of the marker's edges."""
+def test_touching_squares_lie_at_card_corners():
+    """Black at the squares' centres, white beside the middles of the marker's edges."""
     touched, _ = frame_of(touching=0.3)
     assert touched.whole.all()
     y, x = np.mgrid[: touched.image.shape[0], : touched.image.shape[1]]
@@ -191,8 +191,8 @@ def test_touching_squares_are_black_at_the_corners_of_whole_cards():
         assert beside.sum() >= 20 and touched.image[beside].min() > 180
 
 
-def test_a_drawing_has_two_grey_levels_but_for_its_edges():
-    """30 and 230; only pixels that an edge crosses are between, a few in a hundred."""
+def test_drawing_has_two_grey_levels_except_edges():
+    """30 and 230; only pixels on an edge, a few per cent, lie between."""
     drawing = next(
         rendered_frames(Cell(noise=0.0, blur_px=0.0, plain=True, cameras=1, frames=1), "4X4_50", 3)
     )
@@ -213,8 +213,8 @@ def test_a_drawing_has_two_grey_levels_but_for_its_edges():
         {"h264": 30},
     ],
 )
-def test_lens_and_processing_change_the_image_and_not_the_scene(factors):
-    """The bound is that of the raw pixels: it knows the lens's blur and the filters, and nothing else."""
+def test_lens_and_processing_keep_scene(factors):
+    """The bound is that of the raw pixels: it depends only on the lens's blur and the filters."""
     cell = Cell(noise=2.0, blur_px=0.6)
     changed, plain = (first_frame(c) for c in (replace(cell, **factors), cell))
     np.testing.assert_array_equal(changed.centers_px, plain.centers_px)
@@ -224,8 +224,8 @@ def test_lens_and_processing_change_the_image_and_not_the_scene(factors):
     assert (grown > 1.2).all() if raw else np.array_equal(grown, np.ones_like(grown))
 
 
-def test_defocus_is_sharp_in_the_middle_of_the_image_and_a_disc_in_its_corner():
-    """At 25 deg of tilt; the blur of the image is that of the renderer's thin lens."""
+def test_defocus_is_sharp_in_centre_and_disc_in_corner():
+    """At 25 deg of tilt; the image's blur is that of the renderer's thin lens."""
     cell = Cell(tilt_deg=25.0, defocus_px=2.5, cameras=1, frames=1)
     shot = next(camera_shots(cell, "4X4_50", 0, np.random.default_rng(1)))
     blur = lens_blur(cell, shot)
@@ -236,8 +236,8 @@ def test_defocus_is_sharp_in_the_middle_of_the_image_and_a_disc_in_its_corner():
 
 
 @pytest.mark.parametrize("share", [0.02, 0.1])
-def test_occlusion_covers_its_share_of_each_marker(share):
-    """Pixels of the square that differ from the uncovered image; the disc's blurred rim adds up to 0.05."""
+def test_occlusion_covers_given_share(share):
+    """Share of pixels that differ from the uncovered image; the disc's blurred rim adds up to 0.05."""
     covered, bare = frame_of(occlusion=share)
     assert covered.whole.all()
     for (u, v), heading, side in zip(bare.centers_px, bare.headings_rad, bare.sides_px, strict=True):
@@ -248,8 +248,8 @@ def test_occlusion_covers_its_share_of_each_marker(share):
         assert changed.mean() == pytest.approx(share, abs=0.05)
 
 
-def test_clutter_has_as_many_quadrilaterals_as_asked_for():
-    """Dark ground: 150 of mean side 0.8 x 30 px cover, were none to overlap, 150 x 600 px of 307200."""
+def test_clutter_has_given_number_of_quads():
+    """Dark area: 150 of mean side 0.8 x 30 px cover at most 150 x 600 px of 307200."""
     cluttered, bare = frame_of(clutter=150, markers=0)
     assert len(cluttered.ids) == 0 and cluttered.bounds.shape == (0, 3, 3)
     dark = (cluttered.image < 70).mean()
@@ -259,8 +259,8 @@ def test_clutter_has_as_many_quadrilaterals_as_asked_for():
 
 
 @pytest.mark.parametrize("cell", [Cell(noise=0.01, blur_px=0.8), Cell(noise=0.01, tilt_deg=15.0)])
-def test_frames_from_the_reference_are_of_the_same_scenes(cell, monkeypatch):
-    """Truth and bounds to the last digit; images on the markers to a grey level, for both are rounded."""
+def test_reference_frames_show_same_scenes(cell, monkeypatch):
+    """Truth and bounds agree to the last digit, images on markers to a grey level of rounding."""
     path = Path(__file__).parents[2] / "benchmarks" / "detectors_on_reference.py"
     spec = spec_from_file_location("on_reference", path)
     module = module_from_spec(spec)
@@ -276,7 +276,7 @@ def test_frames_from_the_reference_are_of_the_same_scenes(cell, monkeypatch):
         assert away.max() <= 1
 
 
-def test_the_bound_grows_with_noise_and_shrinks_with_the_side():
+def test_bound_grows_with_noise_and_shrinks_with_side():
     def bound(cell):
         return np.trace(first_frame(cell).bounds[:, :2, :2].mean(axis=0))
 
@@ -295,8 +295,8 @@ def stranger(tmp_path, monkeypatch):
     sys.modules.pop("strange_detectors", None)
 
 
-def test_a_strangers_detector_is_measured_beside_ours(stranger):
-    """It sees nothing in every other frame, so that its recall is half of that of the one it wraps."""
+def test_user_detector_is_measured(stranger):
+    """It detects nothing in every other frame: half the recall of the detector that it wraps."""
     plan = Plan(("photometric", f"{stranger}:Shy"), "4X4_50", seed=1)
     ours, theirs = measure_cells(plan, [Cell(noise=2.0, cameras=1, frames=4)])
     assert ours["recall"] > 0.9
@@ -305,8 +305,8 @@ def test_a_strangers_detector_is_measured_beside_ours(stranger):
     assert set(ours) >= ROW_KEYS
 
 
-def test_the_example_of_the_documentation_works(tmp_path, monkeypatch):
-    """The ten lines as they stand there, with a library in place of the reader's own."""
+def test_documentation_example_works(tmp_path, monkeypatch):
+    """The ten documented lines, with a library instead of the reader's own."""
     text = (Path(__file__).parents[2] / "docs" / "benchmark.md").read_text("utf-8")
     (tmp_path / "mine.py").write_text(text.split("```python\n")[1].split("```")[0], "utf-8")
     (tmp_path / "my_library.py").write_text(
@@ -332,17 +332,17 @@ def test_the_example_of_the_documentation_works(tmp_path, monkeypatch):
         ("photometrik", "one of apriltag3, locus-tag"),
     ],
 )
-def test_a_detector_that_cannot_be_made_is_named(stranger, name, words):
+def test_uncreatable_detector_is_named(stranger, name, words):
     with pytest.raises(InputError, match=words):
         make_entrant(name, "4X4_50")
 
 
-def test_a_detector_that_breaks_down_is_named(stranger):
+def test_failing_detector_is_named(stranger):
     with pytest.raises(EntrantError, match="strange_detectors:Broken: ZeroDivisionError: no luck"):
         measure_cells(Plan((f"{stranger}:Broken",), "4X4_50", 1), [Cell(cameras=1, frames=1)])
 
 
-def test_peers_get_frames_of_a_dictionary_that_they_know():
+def test_peers_get_supported_dictionary():
     assert dictionary_for("apriltag3", "4X4_50") == "APRILTAG_36h11"
     assert dictionary_for("apriltag3", "APRILTAG_25h9") == "APRILTAG_25h9"
     assert dictionary_for("locus-tag", "4X4_50") == dictionary_for("opencv", "4X4_50") == "4X4_50"
@@ -351,7 +351,7 @@ def test_peers_get_frames_of_a_dictionary_that_they_know():
     assert default_entrants()[0] == "opencv"
 
 
-def test_uncorrected_peers_show_their_bias():
+def test_uncorrected_peers_show_bias():
     cell = Cell(noise=2.0, cameras=1, frames=2)
     plan = Plan(("opencv-apriltag",), "4X4_50", 1)
     (corrected,) = measure_cells(plan, [cell])
@@ -360,7 +360,7 @@ def test_uncorrected_peers_show_their_bias():
     assert corrected["bias_px"] < 0.05
 
 
-def test_times_are_of_the_frames_after_the_first_and_relative_to_opencv():
+def test_times_skip_warm_up_and_relate_to_opencv():
     cells = timing_cells(WARM_UP + 8, ((320, 240),))
     rows = measure_times(Plan(("opencv", "photometric"), "4X4_50", 1), cells, budget_s=60.0)
     assert [(r["detector"], r["noise"]) for r in rows] == [
@@ -373,7 +373,7 @@ def test_times_are_of_the_frames_after_the_first_and_relative_to_opencv():
     assert rows[1]["times_faster"] == pytest.approx(rows[0]["ms_median"] / rows[1]["ms_median"])
 
 
-def test_a_detector_that_has_spent_its_time_leaves():
+def test_detector_over_time_budget_is_skipped():
     cells = timing_cells(60, ((320, 240),))[:1]
     (row,) = measure_times(Plan(("opencv",), "4X4_50", 1), cells, budget_s=0.0)
     assert row["frames"] < 20
@@ -401,7 +401,7 @@ def result(request):
     return Result(environment(seed=1, quick=True), rows, times)
 
 
-def test_a_result_is_read_back_as_it_was_written(result, tmp_path):
+def test_result_is_read_back(result, tmp_path):
     result.write(tmp_path)
     assert read_result(tmp_path) == result
     with pytest.raises(InputError, match=r"bench\.json: no such file"):
@@ -411,7 +411,7 @@ def test_a_result_is_read_back_as_it_was_written(result, tmp_path):
         read_result(tmp_path)
 
 
-def test_tables_have_a_cell_for_every_column_and_name_ours_first(result):
+def test_tables_are_complete_with_own_detectors_first(result):
     tables = make_tables(result)
     assert len(tables) == 8
     for table in tables:
@@ -425,11 +425,11 @@ def test_tables_have_a_cell_for_every_column_and_name_ours_first(result):
     ("value", "text"),
     [(1.0834, "1.08"), (0.8, "0.80"), (9.996, "10.0"), (10.04, "10.0"), (99.96, "100"), (None, "–")],
 )
-def test_numbers(value, text):
+def test_short_number_format(value, text):
     assert short(value) == text
 
 
-def test_only_all_is_a_hundred_per_cent():
+def test_share_is_100_percent_only_for_all():
     assert [share(value) for value in (1.0, 0.9999, 0.5, 0.0001, 0.0, None)] == [
         "100.0 %", "99.9 %", "50.0 %", "0.1 %", "0.0 %", "–"
     ]  # fmt: skip
@@ -451,7 +451,7 @@ def test_all_figures_and_tables_are_made(page):
 
 
 @pytest.mark.parametrize("width", [1280, 390])
-def test_the_page_fits_a_desktop_and_a_phone(browser, page, width, assert_nothing_overflows):
+def test_page_fits_desktop_and_phone(browser, page, width, assert_nothing_overflows):
     window = browser.new_page(viewport={"width": width, "height": 844})
     complaints, requests = [], []
     window.on("console", lambda message: complaints.append(message.text))
@@ -472,8 +472,8 @@ def run(*arguments):
     return done.value.code
 
 
-def test_the_command_leaves_its_files(tmp_path, monkeypatch, capfd):
-    """With a design cut to two cells, and one figure: the rest is the same for all."""
+def test_command_writes_its_files(tmp_path, monkeypatch, capfd):
+    """With a design cut to two cells, and one figure: the rest is common to all."""
     monkeypatch.setattr("skyherd.bench.detectors.plots.PLOTS", PLOTS[:1])
     cells = [replace(cell, cameras=1, frames=1) for cell in quick_design(1)[:2]]
     monkeypatch.setattr("skyherd.bench.detectors.design.quick_design", lambda **kind: cells)
@@ -500,7 +500,7 @@ def test_the_command_leaves_its_files(tmp_path, monkeypatch, capfd):
         (("--clutter-images", -1), "0 or more"),
     ],
 )
-def test_what_is_wrong_is_one_line_and_exit_code_2(arguments, words, tmp_path, capfd):
+def test_bad_input_gives_one_line_and_exit_code_2(arguments, words, tmp_path, capfd):
     assert run("--quick", "--out", tmp_path / "out", *arguments) == 2
     told = capfd.readouterr()
     assert told.err.count("\n") == 1 and words in told.err
@@ -508,9 +508,10 @@ def test_what_is_wrong_is_one_line_and_exit_code_2(arguments, words, tmp_path, c
 
 
 @pytest.mark.parametrize("shrink", [1.5, 2.0, 2.7])
-def test_a_scalers_box_keeps_light_and_moves_truth_with_it(shrink):
-    """A ramp stays the ramp of the points that truth says, to rounding, but at the image's far ends. Whole
-    factors take means of whole pixels."""
+def test_shrunk_keeps_light_and_moves_truth(shrink):
+    """A ramp matches the ramp of the true points to rounding, except at the far image ends. Integer factors
+    average whole pixels.
+    """
     values = np.add.outer(np.arange(80) * 0.7, np.arange(110) * 1.2)
     frame = next(rendered_frames(Cell(cameras=1, frames=1), "4X4_50", 1))
     ramp = replace(frame, image=np.rint(values).astype(np.uint8), centers_px=np.array([[30.0, 40.0]]))

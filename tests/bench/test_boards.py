@@ -14,7 +14,7 @@ from command_line import assert_refused, call
 from PIL import Image
 
 from skyherd.bench.boards.accuracy import RAYLEIGH_MEDIAN, collect_errors, covariance, find_floor, only
-from skyherd.bench.boards.board_errors import FEWEST_IMAGES, BoardErrors, Fitted, learn_board_errors
+from skyherd.bench.boards.board_errors import MIN_IMAGES, BoardErrors, Fitted, learn_board_errors
 from skyherd.bench.boards.board_fit import MAX_LEVERAGE, fit_board, robust_sigma
 from skyherd.bench.boards.image_noise import immerkaer_noise
 from skyherd.bench.boards.layout import BoardModel, board_corners
@@ -96,12 +96,12 @@ def nothing(images=IMAGES):
 
 
 @pytest.mark.parametrize("kind", ["corners", "markers"])
-def test_the_left_out_error_is_the_noise_put_in(kind):
-    """Of corners alone, or of whole markers: standardised residuals have its spread.
+def test_left_out_error_matches_added_noise(kind):
+    """Noise of single corners, or of whole markers: standardised residuals have its spread.
 
     576 markers: the standard error of a standard deviation from 1152 values is 2 %, and that of a median
-    2.4 %; four of these are allowed. Residuals that are not standardised are smaller, by 4 % with 15 terms
-    for 192 corners, and those of markers left out, with the errors of the fit, are as much larger.
+    2.4 %; four of these are allowed. Unstandardised residuals are smaller, by 4 % with 15 terms for 192
+    corners. Those of left-out markers, with the errors of the fit, are larger by as much.
     """
     noise = of_corners(CORNER_PX) if kind == "corners" else of_markers(MARKER_PX)
     fits, _ = synthetic({"one": noise})
@@ -116,8 +116,8 @@ def test_the_left_out_error_is_the_noise_put_in(kind):
     assert np.concatenate([one.fit.left_out() for one in fits]).std() > 1.03 * errors.corner.std()
 
 
-def test_left_out_residuals_are_those_of_a_fit_without_the_marker():
-    """The formula of the hat matrix against fits that do leave the marker out, to rounding."""
+def test_left_out_residuals_match_refit():
+    """The hat-matrix formula agrees with fits without the marker, to rounding."""
     fits, _ = synthetic({"one": of_corners(CORNER_PX)}, images=1)
     fit = fits[0].fit
     assert fit.fitted.all()
@@ -129,7 +129,7 @@ def test_left_out_residuals_are_those_of_a_fit_without_the_marker():
         np.testing.assert_allclose(fit.left_out()[row], expected, atol=1e-10)
 
 
-def test_headings_have_the_error_put_in():
+def test_heading_errors_match_added_noise():
     def turned(rng):
         turns = np.radians(rng.normal(0, HEADING_DEG, len(IDS)))
         arms = 40 * (NOMINAL - NOMINAL.mean(axis=1, keepdims=True))
@@ -141,11 +141,11 @@ def test_headings_have_the_error_put_in():
     assert errors.center.std() < 0.2 * errors.corner.std()
 
 
-def test_planted_errors_of_the_board_are_learned_and_taken_off():
-    """Errors of 0.4 % of a side, 0.16 px, three times the noise: all but what polynomials explain is found.
+def test_planted_board_errors_are_learned_and_removed():
+    """Errors of 0.4 % of a side, 0.16 px, three times the noise: found except what polynomials explain.
 
-    Without learning the errors are three times the noise; with it they are the noise, also of the worse
-    detector, and as many images are enough for it.
+    Without learning the errors are three times the noise. With it they equal the noise, also for the worse
+    detector, and this number of images suffices.
     """
     detectors = {"fine": of_corners(CORNER_PX), "coarse": of_corners(4 * CORNER_PX)}
     fits, planted = synthetic(detectors, board_error=0.004)
@@ -166,20 +166,20 @@ def test_planted_errors_of_the_board_are_learned_and_taken_off():
     assert np.corrcoef(left[0].ravel(), left[1].ravel())[0, 1] > 0.98
 
 
-def test_of_a_perfect_board_nothing_is_learned():
-    """A negative control: δ is no larger than the noise of the mean of twelve images."""
+def test_perfect_board_has_no_learned_errors():
+    """Negative control: δ is no larger than the noise of the mean of twelve images."""
     fits, _ = synthetic({"one": of_corners(CORNER_PX)})
     learned = learn_board_errors(fits, len(IDS), IMAGES)
     assert learned.displacements.std() < 1.2 * CORNER_PX / 40 / np.sqrt(IMAGES)
     assert errors_of(fits, "one", learned).median("corner") == pytest.approx(
         RAYLEIGH_MEDIAN * CORNER_PX, rel=0.08
     )
-    few = [one for one in fits if one.image < FEWEST_IMAGES - 1]
-    assert not learn_board_errors(few, len(IDS), FEWEST_IMAGES - 1).displacements.any()
+    few = [one for one in fits if one.image < MIN_IMAGES - 1]
+    assert not learn_board_errors(few, len(IDS), MIN_IMAGES - 1).displacements.any()
 
 
-def test_an_image_does_not_vouch_for_itself():
-    """A marker is off by 0.2 px in one image: that residual keeps all of it, as the others do not have it."""
+def test_image_is_excluded_from_its_own_board_errors():
+    """A marker is off by 0.2 px in one image: its residual keeps all of it, since the others lack it."""
     fits, _ = synthetic({"one": of_corners(1e-3)})
     fit = fits[3].fit
     moved = fit.residuals_px.copy()
@@ -191,7 +191,7 @@ def test_an_image_does_not_vouch_for_itself():
     assert np.abs(learned.displacements[10, :, 0] * 40).mean() > 0.01
 
 
-def test_the_floor_is_what_two_detectors_share():
+def test_floor_is_common_error_of_two_detectors():
     """Each marker is displaced for all detectors by 0.08 px; without it there is no floor."""
     detectors = {"locus-tag": of_corners(CORNER_PX), "apriltag3": of_corners(2 * CORNER_PX)}
     for shared, expected in ((MARKER_PX, MARKER_PX), (0.0, 0.0)):
@@ -204,8 +204,8 @@ def test_the_floor_is_what_two_detectors_share():
     }  # fmt: skip
 
 
-def test_noise_that_moves_both_alike_is_no_floor():
-    """Half of the shared variance is known to come from the image's noise: the other half remains."""
+def test_common_noise_is_not_part_of_floor():
+    """Half of the shared variance is attributed to the image's noise: the other half remains."""
     detectors = {"locus-tag": of_corners(CORNER_PX), "apriltag3": of_corners(CORNER_PX)}
     fits, _ = synthetic(detectors, shared_px=MARKER_PX)
     errors = {name: errors_of(fits, name, nothing()) for name in detectors}
@@ -216,7 +216,7 @@ def test_noise_that_moves_both_alike_is_no_floor():
     assert floor == pytest.approx(np.sqrt(shared / 2))
 
 
-def test_nees_is_one_for_the_right_covariance_and_the_floor_adds_to_it():
+def test_nees_is_one_for_consistent_covariance_and_floor():
     rng = np.random.default_rng(5)
     fits = []
     right = np.zeros((len(IDS), 3, 3))
@@ -231,7 +231,7 @@ def test_nees_is_one_for_the_right_covariance_and_the_floor_adds_to_it():
     assert replace(errors, covariances=0 * errors.covariances).nees("center", 0.0) is None
 
 
-def test_a_wrong_id_is_an_outlier_and_spoils_nothing():
+def test_wrong_id_is_outlier_without_effect():
     rng = np.random.default_rng(2)
     true = lens(apply_homography(view(rng), NOMINAL)) + rng.normal(0, CORNER_PX, NOMINAL.shape)
     ids = IDS.copy()
@@ -242,7 +242,7 @@ def test_a_wrong_id_is_an_outlier_and_spoils_nothing():
     assert np.abs(fit.standardised()[4]).max() > 100
 
 
-def test_too_few_markers_or_no_board_at_all_give_no_fit():
+def test_too_few_markers_give_no_fit():
     rng = np.random.default_rng(2)
     true = apply_homography(view(rng), NOMINAL)
     assert fit_board(CORNERS, sightings(true[:4], IDS[:4]), 3) is None
@@ -253,8 +253,8 @@ def test_too_few_markers_or_no_board_at_all_give_no_fit():
     assert fit.ids.tolist() == IDS[3:].tolist(), "of repeated ids none counts"
 
 
-def test_a_marker_that_the_others_cannot_place_is_not_judged():
-    """One marker far out alone holds the polynomials there."""
+def test_undetermined_marker_is_not_evaluated():
+    """A single remote marker determines the polynomials there."""
     rng = np.random.default_rng(2)
     near = np.arange(len(IDS)) % 8 < 2
     keep = near | (IDS == 47)
@@ -265,8 +265,8 @@ def test_a_marker_that_the_others_cannot_place_is_not_judged():
     assert np.isfinite(fit.standardised()[:-1]).all()
 
 
-def test_the_degree_is_that_of_the_lens():
-    """A lens of the third degree needs three at least; without a lens two will do."""
+def test_chosen_degree_matches_lens():
+    """A lens of third degree needs at least three; without a lens two suffice."""
     rng = np.random.default_rng(3)
     shapes = [apply_homography(view(rng), NOMINAL) for _ in range(4)]
     noise = [rng.normal(0, CORNER_PX, NOMINAL.shape) for _ in shapes]
@@ -276,7 +276,7 @@ def test_the_degree_is_that_of_the_lens():
     assert choose_degrees(CORNERS, {"bent": bent})["bent"] >= 3
 
 
-def test_jacobians_are_those_of_the_whole_map():
+def test_jacobians_match_whole_map():
     fits, _ = synthetic({"one": of_corners(0.0)}, images=1)
     rng = np.random.default_rng(1)
     rng.normal(0, 0.0, NOMINAL.shape)
@@ -288,8 +288,8 @@ def test_jacobians_are_those_of_the_whole_map():
         np.testing.assert_allclose(fits[0].fit.jacobians[..., axis], expected, atol=0.05)
 
 
-def test_layouts_are_those_of_opencv_and_kalibr():
-    """A ChArUco board and a grid as OpenCV draws them; ids of an AprilGrid begin at the lower left."""
+def test_layouts_match_opencv_and_kalibr():
+    """A ChArUco board and a grid as OpenCV draws them; AprilGrid ids begin at the lower left."""
     for legacy in (False, True):
         model = BoardModel(kind="charuco", columns=5, rows=4, marker=0.6, legacy=legacy)
         board = cv2.aruco.CharucoBoard((5, 4), 1.0, 0.6, load_dictionary("4X4_50"))
@@ -311,7 +311,7 @@ def test_layouts_are_those_of_opencv_and_kalibr():
     np.testing.assert_array_equal(kalibr[5].min(axis=0), [3.0, 0.0])
 
 
-def test_immerkaer_noise_is_the_noise_and_not_the_picture():
+def test_immerkaer_noise_ignores_picture_content():
     rng = np.random.default_rng(4)
     shade = np.add.outer(np.linspace(50, 120, 300), np.linspace(0, 60, 400))
     noisy = shade + rng.normal(0, 4.0, shade.shape)
@@ -319,7 +319,7 @@ def test_immerkaer_noise_is_the_noise_and_not_the_picture():
     assert immerkaer_noise(np.rint(shade).astype(np.uint8)) < 0.6
 
 
-def test_only_keeps_the_markers_named():
+def test_only_keeps_named_markers():
     fits, _ = synthetic({"one": of_corners(CORNER_PX)}, images=2)
     errors = errors_of(fits, "one", nothing(2))
     kept = only(errors, {(0, 3), (1, 5), (7, 5)})
@@ -348,7 +348,7 @@ def photographed(tmp_path):
     return folder
 
 
-def test_the_command_leaves_all_it_promises(photographed, tmp_path, capsys):
+def test_command_writes_all_outputs(photographed, tmp_path, capsys):
     out = tmp_path / "out"
     arguments = ("--detector", "opencv,photometric", "--out", out)
     code, said, err = call(capsys, "bench", "boards", photographed, *arguments)
@@ -367,9 +367,7 @@ def test_the_command_leaves_all_it_promises(photographed, tmp_path, capsys):
     assert (out / "boards.md").read_text().count("###") == 7
 
 
-def test_sets_without_a_board_are_refused_and_so_are_boards_that_make_no_sense(
-    photographed, capsys, tmp_path
-):
+def test_missing_and_invalid_boards_are_rejected(photographed, capsys, tmp_path):
     path = photographed / "photographs.toml"
     text = path.read_text()
     for wrong, word in (("kind = 'round'", "board.kind"), ("kind = 'aruco'\nrows = 0", "board.rows")):

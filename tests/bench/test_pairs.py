@@ -19,7 +19,7 @@ def start():
 
 
 @pytest.mark.parametrize("step_s", [0.02, pytest.param(0.01, marks=pytest.mark.slow)])
-def test_the_time_is_what_small_steps_of_the_law_take(load_benchmark, start, step_s) -> None:
+def test_time_matches_small_steps_of_law(load_benchmark, start, step_s) -> None:
     """Euler's steps are off by `k λ dt / 2` of the time, and by the last step.
 
     With k = 0.5 and λ = 1 at most, `dt / 4`: 0.5 % at 0.02 s, half of that at 0.01 s; 0.3 dt is allowed.
@@ -37,13 +37,13 @@ def test_the_time_is_what_small_steps_of_the_law_take(load_benchmark, start, ste
     )
 
 
-def test_neighbours_on_the_path_share_their_pair_and_nothing_else(load_benchmark) -> None:
+def test_path_neighbours_share_only_their_pair(load_benchmark) -> None:
     owners = np.array([0, 0, 0, 1, 1, 1, 2, 2, 2])
     sets = load_benchmark("pairs").control_sets(owners, [(2, 3), (5, 6)])
     assert [members.tolist() for members in sets] == [[0, 1, 2, 3], [2, 3, 4, 5, 6], [5, 6, 7, 8]]
 
 
-def test_leverage_is_the_fastest_of_all_choices(load_benchmark, start) -> None:
+def test_leverage_is_fastest_choice(load_benchmark, start) -> None:
     pairs = load_benchmark("pairs")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pairs, "time_to_goal_s", lambda points, positions, sets: slowest_rate(points, sets))

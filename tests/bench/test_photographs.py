@@ -87,8 +87,8 @@ def folder(tmp_path):
     return made
 
 
-def test_a_marker_is_confirmed_by_two_families_and_not_by_two_of_one():
-    """0.3 of a side apart is another place; detectors of one family count once."""
+def test_marker_is_confirmed_by_two_families():
+    """A distance of 0.3 of a side is another place; detectors of one family count once."""
     ours, refined, other = seen((1, (50, 50), 20)), seen((1, (51, 50), 20)), seen((1, (55.5, 50), 20))
     assert judge({"photometric": ours, "tracking": refined}).confirmed == ()
     assert judge({"opencv": ours, "opencv-subpix": refined}).confirmed == ()
@@ -102,7 +102,7 @@ def test_a_marker_is_confirmed_by_two_families_and_not_by_two_of_one():
     assert [family(name) for name in names] == ["ours", "opencv", "apriltag3", "locus-tag", "mine:make"]
 
 
-def test_a_wrong_id_is_one_at_a_confirmed_place_and_all_else_is_alone():
+def test_wrong_id_needs_confirmed_place():
     found = {
         "opencv": seen((1, (50, 50), 20), (4, (90, 90), 20)),
         "locus-tag": seen((1, (50, 50), 20)),
@@ -114,7 +114,7 @@ def test_a_wrong_id_is_one_at_a_confirmed_place_and_all_else_is_alone():
     assert places(judged.alone) == [(4, 90, 90)]
 
 
-def test_of_an_id_that_cannot_repeat_the_place_with_more_families_counts():
+def test_unique_id_counts_at_place_with_more_families():
     twice = {
         "opencv": seen((1, (50, 50), 20), (1, (150, 50), 20)),
         "locus-tag": seen((1, (50, 50), 20), (1, (150, 50), 20)),
@@ -125,10 +125,10 @@ def test_of_an_id_that_cannot_repeat_the_place_with_more_families_counts():
     assert places(judge(twice, ids_repeat=True).confirmed) == [(1, 50, 50), (1, 150, 50)]
 
 
-def test_what_is_counted_is_what_was_drawn(folder, tmp_path, monkeypatch):
-    """Four markers, all found by OpenCV; a liar reads one of them wrongly and sees one that is not there.
+def test_counts_match_drawn_markers(folder, tmp_path, monkeypatch):
+    """Four markers, all found by OpenCV; a faulty detector misreads one and reports an absent one.
 
-    Of the two of id 3 each other detector tells one or none, so that one of them is not confirmed.
+    Each other detector reports at most one of the two markers of id 3, so that one of them is unconfirmed.
     """
     (tmp_path / "liars.py").write_text(STRANGER)
     monkeypatch.syspath_prepend(tmp_path)
@@ -155,7 +155,7 @@ def test_what_is_counted_is_what_was_drawn(folder, tmp_path, monkeypatch):
     assert len(measured.missed_tiles["liars:Liar"]) == len(measured.missed_tiles["tracking"]) == 1
 
 
-def test_the_command_leaves_all_it_promises(folder, tmp_path, capsys):
+def test_command_writes_all_outputs(folder, tmp_path, capsys):
     out = tmp_path / "out"
     code, said, err = call(
         capsys, "bench", "photographs", folder, "--detector", "opencv,tracking,photometric", "--out", out
@@ -186,13 +186,13 @@ def test_the_command_leaves_all_it_promises(folder, tmp_path, capsys):
         (None, ["photographs.toml"]),
     ],
 )
-def test_a_wrong_file_of_sets_is_refused_in_a_line(folder, capsys, sets, words):
+def test_wrong_sets_file_is_rejected(folder, capsys, sets, words):
     path = folder / "photographs.toml"
     path.unlink() if sets is None else path.write_text(sets)
     assert_refused(call(capsys, "bench", "photographs", folder, "--out", folder / "out"), *words)
 
 
-def test_sets_may_lie_elsewhere_and_be_chosen(folder, tmp_path, capsys):
+def test_sets_file_and_selection_are_options(folder, tmp_path, capsys):
     elsewhere = shutil.move(folder / "photographs.toml", tmp_path / "mine.toml")
     assert [one.name for one in load_image_sets(folder, tmp_path / "mine.toml", only=("desk",))] == ["desk"]
     refused = call(capsys, "bench", "photographs", folder, "--sets", elsewhere, "--only", "attic")
@@ -200,14 +200,14 @@ def test_sets_may_lie_elsewhere_and_be_chosen(folder, tmp_path, capsys):
     assert_refused(call(capsys, "bench", "photographs", tmp_path / "nowhere"), "no such folder")
 
 
-def test_a_detector_that_cannot_be_told_of_the_markers_reads_no_set_of_them():
+def test_detector_without_marker_options_reads_no_set():
     readers, refused = make_readers(["opencv", "apriltag3"], "4X4_50", {})
     assert list(readers) == ["opencv"] and "does not know 4X4_50" in refused["apriltag3"]
     readers, refused = make_readers(["apriltag3", "locus-tag"], "APRILTAG_36h11", {"shape": "round"})
     assert readers == {} and refused["locus-tag"] == "does not support shape"
 
 
-def test_images_of_a_video_are_every_so_manieth_frame(tmp_path):
+def test_video_images_are_every_nth_frame(tmp_path):
     writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
     for level in range(7):
         writer.write(np.full((48, 64, 3), 30 * level, np.uint8))
@@ -219,8 +219,8 @@ def test_images_of_a_video_are_every_so_manieth_frame(tmp_path):
     assert [round(image.mean() / 30) for image in images.values()] == [0, 3, 6]
 
 
-def test_tiles_show_their_place_in_the_middle_also_at_an_image_s_edge():
-    """A bright square in the corner of a dark image: in the tile's middle, and grey beyond the image."""
+def test_tile_centres_place_at_image_edge():
+    """A bright square in the corner of a dark image: in the tile's centre, with grey beyond the image."""
     image = np.zeros((60, 80), np.uint8)
     image[0:11, 0:11] = 255
     judged = judge({"opencv": seen((1, (5, 5), 11))})
@@ -233,20 +233,20 @@ def test_tiles_show_their_place_in_the_middle_also_at_an_image_s_edge():
     assert draw_sheet([tile]).shape[1] < 2 * TILE_PX
 
 
-def test_a_set_that_nobody_can_read_is_told(folder, capsys, tmp_path):
+def test_unreadable_set_is_reported(folder, capsys, tmp_path):
     (folder / "photographs.toml").write_text("[desk]\nfiles = ['*.png']\ndictionary = '5X5_50'\n")
     arguments = ("--detector", "apriltag3", "--out", tmp_path / "out")
     code, _, err = call(capsys, "bench", "photographs", folder, *arguments)
     assert code == 0 and "no detector can read desk" in err
 
 
-def test_an_unreadable_image_ends_it_in_a_line(folder, capsys, tmp_path):
+def test_unreadable_image_ends_with_one_line(folder, capsys, tmp_path):
     (folder / "c.png").write_bytes(b"no picture")
     refused = call(capsys, "bench", "photographs", folder, "--detector", "opencv", "--out", tmp_path / "out")
     assert_refused(refused, "c.png", "not a picture")
 
 
-def test_sets_are_models_that_refuse_what_makes_no_sense(tmp_path):
+def test_set_model_rejects_invalid_values(tmp_path):
     for line in ("border_bits = 0", "every = 0", "inverted = 'maybe'"):
         (tmp_path / "photographs.toml").write_text(f"[v]\nfiles = ['*']\ndictionary = '4X4_50'\n{line}\n")
         with pytest.raises(InputError, match=line.split(" ")[0]):

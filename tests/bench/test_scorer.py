@@ -71,18 +71,18 @@ def test_recall_counts_markers_over_all_frames():
         ([50, -3], [(0, 0), (0, 0)], 0, 2),  # ids beyond either end of those shown
     ],
 )
-def test_what_is_right_and_what_is_false(ids, centers, found, false):
+def test_match_separates_correct_and_false_detections(ids, centers, found, false):
     result = score((frame(*THREE), answer(ids, centers)))
     assert (result.found, result.false_positives_per_image) == (found, false)
 
 
-def test_of_two_answers_the_nearer_is_measured():
+def test_nearer_of_two_detections_is_scored():
     answers, rows = match(frame(*THREE), answer([5, 5], [(103, 0), (100, 1)]))
     np.testing.assert_array_equal(answers, [1])
     np.testing.assert_array_equal(rows, [1])
 
 
-def test_markers_that_are_not_whole_are_neither_asked_for_nor_false():
+def test_partial_markers_are_ignored():
     shown = frame(*THREE, whole=[True, False, True])
     result = score((shown, answer([1, 5], [(0, 0), (105, 0)])))
     assert (result.markers, result.found, result.false_positives_per_image) == (2, 1, 0)
@@ -94,7 +94,7 @@ def test_ids_in_any_order_are_matched():
     assert score((shown, answer([5, 9, 1], [(100, 0), (0, 100), (0, 0)]))).found == 3
 
 
-def test_bias_and_rmse_are_those_of_the_errors_put_in():
+def test_bias_and_rmse_match_given_errors():
     """Errors (3, 4) and (-1, 0): bias |(1, 2)|, RMSE per axis sqrt((9 + 16 + 1) / 4)."""
     shown = frame([1, 2], [(0, 0), (50, 0)], headings=[0.0, 1.0])
     result = score((shown, answer([1, 2], [(3, 4), (49, 0)], headings=[0.02, 1.04])))
@@ -104,16 +104,16 @@ def test_bias_and_rmse_are_those_of_the_errors_put_in():
     assert result.rmse_deg == pytest.approx(np.degrees((0.5 * (0.02**2 + 0.04**2)) ** 0.5))
 
 
-def test_headings_wrap():
-    """Just short of pi and just beyond -pi are neighbours; so are a turn and none."""
+def test_heading_errors_wrap():
+    """Just below pi and just above -pi are neighbours; so are a full turn and none."""
     shown = frame([1, 2], [(0, 0), (50, 0)], headings=[np.pi - 0.01, 0.0])
     result = score((shown, answer([1, 2], [(0, 0), (50, 0)], headings=[-np.pi + 0.01, 2 * np.pi + 0.02])))
     assert result.rmse_deg == pytest.approx(np.degrees(0.02))
 
 
 @pytest.mark.smoke
-def test_the_ratio_to_the_bound_is_of_the_same_markers():
-    """Of two markers the one with the wide bound is missed: only the other's counts."""
+def test_ratio_uses_bound_of_same_markers():
+    """The one of two markers with the wide bound is missed: only the other's counts."""
     wide, narrow = frame([1], [(0, 0)], bound=(9, 9, 9)), frame([1], [(0, 0)], bound=(0.1, 0.3, 0.01))
     result = score((wide, answer([], [])), (narrow, answer([1], [(0.2, 0.0)], headings=[0.03])))
     assert result.crb_px == pytest.approx(((0.01 + 0.09) / 2) ** 0.5)
@@ -136,7 +136,7 @@ def gaussian(count, deviation, claimed, seed):
 
 
 @pytest.mark.parametrize("too_sure", [1.0, 2.0, 0.5])
-def test_nees_of_a_known_gaussian(too_sure):
+def test_nees_of_known_gaussian(too_sure):
     """A mean of N squares of unit normals has sigma sqrt(2 / N), 2.6 %; five times that is allowed."""
     deviation = np.array([0.02, 0.05, 0.003])
     count = 3000
@@ -146,8 +146,8 @@ def test_nees_of_a_known_gaussian(too_sure):
         assert value == pytest.approx(too_sure**2, rel=allowed)
 
 
-def test_errors_drawn_at_the_bound_score_one():
-    """RMSE over bound of 2N and N normal values: sigma 1 / sqrt(4 N) and 1 / sqrt(2 N); five times that."""
+def test_errors_at_bound_have_ratio_one():
+    """RMSE over bound of 2N and N normal values: sigma 1 / sqrt(4 N) and 1 / sqrt(2 N); 5 sigma."""
     count = 3000
     result = gaussian(count, np.array([0.02, 0.02, 0.003]), np.ones(3), seed=5)
     assert result.ratio_px == pytest.approx(1.0, abs=5 / (4 * count) ** 0.5)
@@ -155,7 +155,7 @@ def test_errors_drawn_at_the_bound_score_one():
     assert result.bias_px < 5 * 0.02 * (2 / count) ** 0.5
 
 
-def test_no_covariance_is_no_nees_even_if_only_one_detection_lacks_it():
+def test_nees_is_none_if_a_covariance_is_missing():
     shown = frame(*THREE)
     none = answer(THREE[0], THREE[1])
     honest = answer(THREE[0], THREE[1], deviation=(0.1, 0.1, 0.1))
@@ -164,13 +164,13 @@ def test_no_covariance_is_no_nees_even_if_only_one_detection_lacks_it():
     assert score((shown, honest)).nees == 0
 
 
-def test_nothing_found_leaves_gaps_but_the_bound():
+def test_score_without_detections_keeps_bound():
     result = score((frame(*THREE), answer([], [])))
     assert (result.recall, result.rmse_px, result.bias_px, result.ratio_px) == (0, None, None, None)
     assert result.crb_px == pytest.approx(0.01)
 
 
-def test_images_without_markers_have_no_recall_and_count_false_positives():
+def test_empty_images_have_no_recall_but_false_positives():
     empty = frame([], [])
     result = score((empty, answer([3, 4], [(1, 1), (9, 9)])), (empty, answer([], [])))
     assert result.recall is None and result.crb_px is None

@@ -50,7 +50,7 @@ def test_a_scenario_is_shown_after_deployment(tmp_path, capsys, monkeypatch, ide
 def test_a_run_tells_who_died_and_what_was_measured(run, capsys) -> None:
     code, said, _ = call(capsys, "topology", run)
     assert code == 0, "the heir has repaired the tree by then"
-    for words in ("unit 0 died", "nobody → unit 1", "the tree is complete", "measured"):
+    for words in ("unit 0 died", "no unit → unit 1", "the tree is complete", "measured"):
         assert words in said
     assert is_picture(run / "topology.png")
     again = call(capsys, "topology", run / "run.mcap", "--out", run / "mine.svg")

@@ -32,27 +32,27 @@ def read(path: Path, picture: Image.Image, **options) -> np.ndarray:
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("suffix", ["png", "tif", "bmp", "webp", "gif", "pgm"])
-def test_lossless_formats_come_back_exactly(tmp_path, suffix) -> None:
+def test_lossless_formats_are_read_exactly(tmp_path, suffix) -> None:
     options = {"lossless": True} if suffix == "webp" else {}
     np.testing.assert_array_equal(read(tmp_path / f"a.{suffix}", Image.fromarray(GREY), **options), GREY)
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB", "CMYK"])
-def test_jpeg_comes_back_nearly(tmp_path, mode) -> None:
+def test_jpeg_is_read_within_quantisation(tmp_path, mode) -> None:
     """Smooth grey at quality 95: a level or two of quantisation; CMYK's own rounding adds one."""
     grey = read(tmp_path / "a.jpg", Image.fromarray(SMOOTH).convert(mode), quality=95)
     assert np.abs(grey.astype(int) - SMOOTH).max() <= 6
 
 
 @pytest.mark.parametrize("mode", ["1", "P", "RGB", "RGBA", "LA"])
-def test_modes_of_png(tmp_path, mode) -> None:
+def test_png_modes_are_read(tmp_path, mode) -> None:
     want = np.where(GREY > 127, 255, 0).astype(np.uint8) if mode == "1" else GREY
     picture = Image.fromarray(want).convert(mode)
     assert picture.mode == mode
     np.testing.assert_array_equal(read(tmp_path / "a.png", picture), want)
 
 
-def test_colour_has_the_luma_of_bt601(tmp_path) -> None:
+def test_colour_becomes_bt601_luma(tmp_path) -> None:
     colors = RNG.integers(0, 256, (20, 20, 3)).astype(np.uint8)
     want = colors @ [0.299, 0.587, 0.114]
     np.testing.assert_allclose(read(tmp_path / "a.png", Image.fromarray(colors)), want, atol=0.51)
@@ -72,8 +72,8 @@ def test_transparency_lies_over_white(tmp_path) -> None:
 
 @pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
 @pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_sixteen_bits_hold_what_the_camera_gave(tmp_path, bits, suffix) -> None:
-    """Levels of 10 to 16 bits are scaled by their own white; a level of 8 bits is 2^bits / 256 of them."""
+def test_sixteen_bit_levels_scale_by_their_white(tmp_path, bits, suffix) -> None:
+    """Levels of 10 to 16 bits are scaled by their white; 8-bit levels are 2^bits / 256 of them."""
     top = 2**bits - 1
     levels = np.rint(GREY / 255.0 * top).astype(np.uint16)
     levels[0, 0] = top
@@ -84,8 +84,8 @@ def test_sixteen_bits_hold_what_the_camera_gave(tmp_path, bits, suffix) -> None:
     np.testing.assert_allclose(read_grey(tmp_path / f"c.{suffix}"), want, atol=1.0)
 
 
-def test_sixteen_bit_colour_with_transparency(tmp_path) -> None:
-    """Mid grey, opaque, clear and half clear over white; one pixel of white sets the scale."""
+def test_sixteen_bit_colour_lies_over_white(tmp_path) -> None:
+    """Mid grey, opaque, clear and half clear over white; one white pixel sets the scale."""
     bgra = np.full((1, 4, 4), 65535, np.uint16)
     bgra[0, :3, :3] = 32768
     bgra[0, :3, 3] = [65535, 0, 32768]
@@ -93,7 +93,7 @@ def test_sixteen_bit_colour_with_transparency(tmp_path) -> None:
     np.testing.assert_allclose(read_grey(tmp_path / "a.png"), [[128, 255, 191, 255]], atol=1)
 
 
-def test_real_numbers(tmp_path) -> None:
+def test_float_levels_are_scaled(tmp_path) -> None:
     shares = (GREY / 255).astype(np.float32)
     np.testing.assert_allclose(read(tmp_path / "a.tif", Image.fromarray(shares)), GREY, atol=0.51)
     shares[0, 0] = np.nan
@@ -101,8 +101,8 @@ def test_real_numbers(tmp_path) -> None:
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_exif_orientation_is_obeyed(tmp_path, orientation) -> None:
-    """Judged by Pillow's own transposition."""
+def test_exif_orientation_is_applied(tmp_path, orientation) -> None:
+    """Pillow's own transposition is the reference."""
     exif = Image.Exif()
     exif[0x0112] = orientation
     path = tmp_path / "a.png"
@@ -111,10 +111,8 @@ def test_exif_orientation_is_obeyed(tmp_path, orientation) -> None:
     assert (grey.shape == GREY.shape) == (orientation < 5)
 
 
-def test_a_file_that_claims_far_more_pixels_than_it_can_hold_is_refused_before_it_is_decoded(
-    tmp_path, monkeypatch
-) -> None:
-    """One grey level all over, which no picture is: it is read whole, and not from a third of the file."""
+def test_implausible_size_is_rejected_before_decoding(tmp_path, monkeypatch) -> None:
+    """Uniform grey, unlike any photograph: read whole, and not from a third of the file."""
     path = tmp_path / "a.png"
     Image.new("L", (10_000, 6_000), 90).save(path)
     data = path.read_bytes()
@@ -125,7 +123,7 @@ def test_a_file_that_claims_far_more_pixels_than_it_can_hold_is_refused_before_i
         read_grey(path)
 
 
-def test_fifty_megapixels_are_read_without_a_warning(tmp_path) -> None:
+def test_fifty_megapixels_are_read_without_warning(tmp_path) -> None:
     picture = Image.new("L", (10_000, 9_500), 77)
     picture.save(tmp_path / "a.png", compress_level=1)
     limit = Image.MAX_IMAGE_PIXELS
@@ -136,7 +134,7 @@ def test_fifty_megapixels_are_read_without_a_warning(tmp_path) -> None:
     assert limit == Image.MAX_IMAGE_PIXELS
 
 
-def test_a_picture_that_claims_to_be_huge_is_refused(tmp_path, monkeypatch) -> None:
+def test_huge_claimed_size_is_rejected(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(images, "MAX_PIXELS", 1000)
     Image.fromarray(GREY).save(tmp_path / "a.png")
     with pytest.raises(InputError, match=r"a\.png: 0 megapixels"):
@@ -145,8 +143,8 @@ def test_a_picture_that_claims_to_be_huge_is_refused(tmp_path, monkeypatch) -> N
 
 @pytest.mark.parametrize("suffix", ["png", "jpg", "tif", "bmp", "gif", "webp"])
 @pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.95])
-def test_files_cut_short_are_refused_in_one_line(tmp_path, suffix, share) -> None:
-    """At any length; nothing but InputError comes out, and no warning (tests treat those as errors)."""
+def test_truncated_files_are_rejected(tmp_path, suffix, share) -> None:
+    """At any length, only InputError is raised, without a warning (an error in tests)."""
     file = io.BytesIO()
     Image.fromarray(np.tile(GREY, (4, 4))).save(
         file, format={"jpg": "jpeg", "tif": "tiff"}.get(suffix, suffix)
@@ -159,7 +157,7 @@ def test_files_cut_short_are_refused_in_one_line(tmp_path, suffix, share) -> Non
 
 
 @pytest.mark.parametrize("suffix", ["tif", "gif", "webp"])
-def test_of_several_pages_the_first_is_read_and_the_others_are_counted(tmp_path, suffix) -> None:
+def test_first_of_several_pages_is_read_with_warning(tmp_path, suffix) -> None:
     path, pages = tmp_path / f"a.{suffix}", [GREY, 255 - GREY, GREY // 2]
     first, *others = map(Image.fromarray, pages)
     options = {"lossless": True} if suffix == "webp" else {}
@@ -168,13 +166,13 @@ def test_of_several_pages_the_first_is_read_and_the_others_are_counted(tmp_path,
         np.testing.assert_array_equal(read_grey(path), GREY)
 
 
-def test_a_picture_in_lab_is_refused_as_what_it_is(tmp_path) -> None:
+def test_lab_picture_is_rejected(tmp_path) -> None:
     Image.fromarray(np.dstack([GREY] * 3)).convert("LAB").save(tmp_path / "a.tif")
     with pytest.raises(InputError, match="colour space LAB is not read; save it as grey or RGB"):
         read_grey(tmp_path / "a.tif")
 
 
-def test_what_is_no_picture_is_said(tmp_path) -> None:
+def test_non_picture_is_rejected(tmp_path) -> None:
     (tmp_path / "empty.png").write_bytes(b"")
     (tmp_path / "text.png").write_text("not a picture")
     for name, words in (
@@ -187,8 +185,8 @@ def test_what_is_no_picture_is_said(tmp_path) -> None:
             read_grey(tmp_path / name)
 
 
-def test_damage_anywhere_is_an_input_error_or_a_picture(tmp_path) -> None:
-    """Bytes changed at random: Pillow may still read it, but nothing else gets out."""
+def test_damaged_file_gives_input_error_or_picture(tmp_path) -> None:
+    """Random bytes change: Pillow may still read it, but no other error is raised."""
     rng = np.random.default_rng(1)
     for suffix, form in (("png", "png"), ("jpg", "jpeg"), ("tif", "tiff"), ("webp", "webp")):
         file = io.BytesIO()
@@ -202,7 +200,7 @@ def test_damage_anywhere_is_an_input_error_or_a_picture(tmp_path) -> None:
                 assert read_grey(path).ndim == 2
 
 
-def test_a_recorded_image_is_a_jpeg_of_the_size_that_it_has_to_have() -> None:
+def test_decode_jpeg_requires_jpeg_of_given_size() -> None:
     def encoded(kind, size=(44, 30)):
         stream = io.BytesIO()
         Image.fromarray(SMOOTH).resize(size).save(stream, format=kind)
@@ -217,8 +215,8 @@ def test_a_recorded_image_is_a_jpeg_of_the_size_that_it_has_to_have() -> None:
             decode_jpeg(data, (44, 30))
 
 
-def test_a_picture_wider_than_opencv_reads_is_refused(tmp_path) -> None:
-    """Of 16 bits a colour, for which Pillow is no use."""
+def test_picture_wider_than_opencv_limit_is_rejected(tmp_path) -> None:
+    """16 bits per colour, which Pillow cannot read."""
     stream = struct.pack(">II5B", 2**20 + 1, 1, 16, 2, 0, 0, 0)
     rows = zlib.compress(bytes(1 + 6 * (2**20 + 1)))
     chunks = ((b"IHDR", stream), (b"IDAT", rows), (b"IEND", b""))

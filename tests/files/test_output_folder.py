@@ -36,7 +36,7 @@ def recorded(folder: Path) -> dict[str, dict[str, str]]:
 
 
 @pytest.mark.smoke
-def test_the_record_says_what_made_each_file(tmp_path):
+def test_record_names_maker_of_each_file(tmp_path):
     out = tmp_path / "new" / "out"
     make(out)
     assert sorted(recorded(out)) == NAMES
@@ -49,7 +49,7 @@ def test_the_record_says_what_made_each_file(tmp_path):
     assert (out / "a.txt").read_text() == "again" and (out / "mine.txt").read_text() == "mine"
 
 
-def test_force_removes_what_the_verb_made_and_nothing_else(tmp_path):
+def test_force_removes_only_own_files(tmp_path):
     make(tmp_path / "out", names=[*NAMES, "old.txt", "gone/c.txt"])
     (tmp_path / "out" / "gone" / "mine.txt").write_text("mine")
     make(tmp_path / "out", verb="detect", names=["d.txt"], force=True)
@@ -95,7 +95,7 @@ def record_of_nonsense(out: Path) -> None:
     "change", [foreign, changed, linked, folder_in_place, file_in_the_way, record_damaged, record_of_nonsense]
 )
 @pytest.mark.parametrize("way", [{"force": True}, {"resume": True}], ids=["force", "resume"])
-def test_what_is_not_ours_is_refused_before_anything_changes(tmp_path, change, way):
+def test_foreign_file_is_rejected_before_any_change(tmp_path, change, way):
     out = tmp_path / "out"
     make(out)
     change(out)
@@ -106,13 +106,13 @@ def test_what_is_not_ours_is_refused_before_anything_changes(tmp_path, change, w
 
 
 @pytest.mark.parametrize(("first", "second"), [("run", "detect"), ("detect", "run")])
-def test_what_another_verb_made_is_refused(tmp_path, first, second):
+def test_file_of_another_verb_is_rejected(tmp_path, first, second):
     make(tmp_path / "out", verb=first)
     with pytest.raises(InputError, match=f"was made by `skyherd {first}`"):
         make(tmp_path / "out", verb=second, force=True)
 
 
-def test_an_input_is_never_replaced_though_it_is_ours(tmp_path):
+def test_own_input_is_never_replaced(tmp_path):
     out = tmp_path / "out"
     make(out)
     (tmp_path / "link.txt").symlink_to(out / "a.txt")
@@ -122,7 +122,7 @@ def test_an_input_is_never_replaced_though_it_is_ours(tmp_path):
 
 
 @pytest.mark.parametrize("error", [InputError("a", "b", "c"), KeyboardInterrupt(), OSError(28, "full")])
-def test_a_failure_leaves_no_new_folder(tmp_path, error):
+def test_failure_removes_new_folder(tmp_path, error):
     out = tmp_path / "new" / "out"
     with pytest.raises(type(error)), OutputFolder(out, "run", [*NAMES, "parts/"]):
         (out / "parts" / "deep").mkdir(parents=True)
@@ -133,7 +133,7 @@ def test_a_failure_leaves_no_new_folder(tmp_path, error):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_failure_in_a_folder_that_was_there_leaves_what_was_there(tmp_path):
+def test_failure_preserves_existing_folder(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     make(tmp_path, names=["old.txt"], resume=True)
     before = contents(tmp_path)
@@ -143,7 +143,7 @@ def test_a_failure_in_a_folder_that_was_there_leaves_what_was_there(tmp_path):
     assert contents(tmp_path) == before
 
 
-def test_what_is_kept_stays_after_a_failure_and_is_ours(tmp_path):
+def test_kept_files_stay_after_failure(tmp_path):
     out = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt), OutputFolder(out, "run", NAMES) as output:
         (out / "a.txt").write_text("an hour's work")
@@ -153,7 +153,7 @@ def test_what_is_kept_stays_after_a_failure_and_is_ours(tmp_path):
     make(out, "again", force=True)
 
 
-def test_what_a_killed_process_left_is_ours(tmp_path):
+def test_files_of_killed_process_are_own(tmp_path):
     code = f"""
 import os
 from pathlib import Path
@@ -172,7 +172,7 @@ with OutputFolder(folder, "run", {NAMES!r}):
 
 
 @pytest.mark.smoke
-def test_one_process_at_a_time_and_the_other_is_named(tmp_path):
+def test_second_process_is_rejected_with_name_of_first(tmp_path):
     out = tmp_path / "out"
     said = rf"`skyherd run` writes into it \(process {os.getpid()} on .*, since \d{{4}}-"
     with OutputFolder(out, "run", NAMES):
@@ -207,7 +207,7 @@ def test_folder_taken_by_another_in_between_is_never_removed(tmp_path, monkeypat
         ("loop", "file"),
     ],
 )
-def test_a_folder_that_cannot_be_is_refused(tmp_path, name, words):
+def test_impossible_folder_is_rejected(tmp_path, name, words):
     (tmp_path / "file").write_text("mine")
     (tmp_path / "loop").symlink_to("loop")
     before = sorted(tmp_path.iterdir())
@@ -252,7 +252,7 @@ def test_input_that_is_no_file_protects_nothing(tmp_path, name):
     assert (out / "a.txt").read_text() == "again"
 
 
-def test_input_among_former_files_stays_when_it_is_claimed_no_more(tmp_path):
+def test_unclaimed_input_among_former_files_stays(tmp_path):
     out = tmp_path / "out"
     make(out, names=["a.txt", "old.txt", "older.txt"])
     make(out, "again", names=["a.txt"], force=True, inputs=[out / "old.txt"])
@@ -262,7 +262,7 @@ def test_input_among_former_files_stays_when_it_is_claimed_no_more(tmp_path):
 
 @pytest.mark.parametrize("kept", [False, True])
 @pytest.mark.parametrize("fails", [False, True])
-def test_new_folder_without_files_is_removed_after_a_failure_only(tmp_path, kept, fails):
+def test_empty_new_folder_is_removed_only_after_failure(tmp_path, kept, fails):
     out = tmp_path / "new" / "out"
     try:
         with OutputFolder(out, "run", NAMES) as output:
@@ -359,12 +359,12 @@ def test_folder_without_the_right_to_write_is_refused(tmp_path, monkeypatch, mis
     if not missing:
         make(tmp_path / "out")
         return
-    with pytest.raises(InputError, match="Permission denied; make it a folder that can be written to"):
+    with pytest.raises(InputError, match="Permission denied; make the folder writable"):
         make(tmp_path / "new" / "out")
     assert not (tmp_path / "new").exists()
 
 
-def test_failure_of_the_disk_at_the_end_is_told_and_releases_the_lock(tmp_path, monkeypatch):
+def test_disk_failure_at_end_is_reported_and_releases_lock(tmp_path, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
@@ -446,7 +446,7 @@ def test_changed_files_stay_and_are_the_user_s_from_then_on(tmp_path):
     assert list(recorded(out)) == ["a.txt"]
 
 
-def test_a_single_file_is_replaced_only_if_it_is_ours_and_only_by_force(tmp_path):
+def test_single_file_is_replaced_only_if_own_and_forced(tmp_path):
     path = tmp_path / "a.pdf"
 
     def write(content: str, **options) -> None:

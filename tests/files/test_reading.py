@@ -33,7 +33,7 @@ def pipe(tmp_path):
     return tmp_path / "pipe"
 
 
-def test_a_pipe_is_refused_and_not_waited_for(pipe):
+def test_pipe_is_rejected_without_waiting(pipe):
     def look() -> None:
         for read in (read_grey, open_clip, read_json_of):
             with pytest.raises(InputError, match="is a pipe"):
@@ -61,14 +61,14 @@ def read_json_of(path):
         ("file/below", "Not a directory"),
     ],
 )
-def test_what_is_no_regular_file_is_refused(tmp_path, path, words):
+def test_non_regular_file_is_rejected(tmp_path, path, words):
     (tmp_path / "loop").symlink_to("loop")
     (tmp_path / "file").write_text("x")
     with pytest.raises(InputError, match=words):
         read_bytes(tmp_path / path, "a file", 10)
 
 
-def test_a_file_that_is_too_large_is_refused_with_the_limit(tmp_path):
+def test_too_large_file_is_rejected_with_limit(tmp_path):
     path = tmp_path / "big"
     path.write_bytes(bytes(2 * reading.MIB))
     with pytest.raises(InputError, match=r"has 2 MiB or more; at most 1 MiB are read"):
@@ -89,7 +89,7 @@ def test_a_file_that_is_too_large_is_refused_with_the_limit(tmp_path):
         ("\x80", "UTF-8"),
     ],
 )
-def test_json_that_makes_no_sense_is_an_input_error(tmp_path, text, words):
+def test_invalid_json_is_input_error(tmp_path, text, words):
     path = tmp_path / "a.json"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(InputError, match=words):
@@ -105,8 +105,8 @@ def test_json_of_64_levels_is_read(tmp_path):
     assert value == 1
 
 
-def test_no_other_program_is_started_for_a_picture(tmp_path, monkeypatch):
-    """Line 7: an EPS file named .png. Negative control: Pillow alone would start Ghostscript."""
+def test_picture_starts_no_other_program(tmp_path, monkeypatch):
+    """An EPS file named .png. Negative control: Pillow alone would start Ghostscript."""
     started = []
 
     def start(*arguments) -> None:
@@ -126,19 +126,19 @@ def test_no_other_program_is_started_for_a_picture(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["ICO", "TGA", "SGI", "PCX", "ICNS", "JPEG2000", "MSP"])
-def test_other_formats_than_those_of_cameras_are_no_pictures(tmp_path, kind):
+def test_non_camera_formats_are_rejected(tmp_path, kind):
     mode = "1" if kind == "MSP" else "RGB"
     Image.new(mode, (16, 16)).save(tmp_path / "a.png", format=kind)
     with pytest.raises(InputError, match="not a picture"):
         read_grey(tmp_path / "a.png")
 
 
-def test_every_name_of_a_picture_file_has_its_decoder():
+def test_every_picture_suffix_has_a_decoder():
     kinds = Image.registered_extensions()
     assert {kinds[suffix] for suffix in images.SUFFIXES} <= set(images.DECODERS)
 
 
-def test_a_playlist_named_as_a_video_opens_nothing_else(tmp_path, monkeypatch):
+def test_playlist_named_as_video_opens_no_other_file(tmp_path, monkeypatch):
     """FFmpeg would read the list, and then the files and addresses in it."""
     writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
     for _ in range(3):
@@ -152,7 +152,7 @@ def test_a_playlist_named_as_a_video_opens_nothing_else(tmp_path, monkeypatch):
             open_clip(tmp_path / name)
 
 
-def test_names_that_ffmpeg_would_obey_or_cannot_take_are_names(tmp_path, monkeypatch):
+def test_special_ffmpeg_names_are_plain_names(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("concat:a.mp4", os.fsdecode(b"\xff.mp4")):
         path = reading.Path(name)
@@ -161,13 +161,13 @@ def test_names_that_ffmpeg_would_obey_or_cannot_take_are_names(tmp_path, monkeyp
             open_clip(path)
 
 
-def test_a_template_image_is_smaller_than_a_picture_may_be(tmp_path):
-    """Line 12: 20000x20000. Black PNGs of any size are small files."""
+def test_template_image_has_smaller_size_limit(tmp_path):
+    """20000x20000 px: a black PNG of any size is a small file."""
     Image.new("1", (20000, 20000)).save(tmp_path / "a.png")
     with pytest.raises(InputError, match="400 megapixels; at most 50 can be read"):
         read_template_image(tmp_path / "a.png", "4X4_50")
 
 
-def test_all_kinds_of_videos_are_in_the_list_of_containers():
+def test_every_video_suffix_has_a_container():
     assert {"mov", "matroska", "avi", "mpeg", "mpegts", "asf"} <= set(video_reader.CONTAINERS)
     assert json.dumps(video_reader.OPTIONS)

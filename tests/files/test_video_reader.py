@@ -54,7 +54,7 @@ def write(path, images, times_s=None, *, start_s=0.0):
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("held", MATRICES)
-def test_frames_are_as_a_player_shows_them(tmp_path, held):
+def test_frames_match_player_orientation(tmp_path, held):
     matrix, shown = MATRICES[held]
     path = tag_display(write(tmp_path / "v.mp4", [LEVELS] * 2), matrix)
     expected = shown(LEVELS)
@@ -64,7 +64,7 @@ def test_frames_are_as_a_player_shows_them(tmp_path, held):
 
 
 @pytest.mark.parametrize("name", ["v.mp4", "v.mkv"])
-def test_times_are_the_stream_s_own_and_not_those_of_an_even_rate(tmp_path, name):
+def test_times_are_stream_time_stamps(tmp_path, name):
     path = write(tmp_path / name, [LEVELS] * len(UNEVEN_S), UNEVEN_S)
     times = [frame.time_s for frame in read_clip(open_clip(path))]
     assert times == pytest.approx(UNEVEN_S, abs=0.002)
@@ -72,20 +72,20 @@ def test_times_are_the_stream_s_own_and_not_those_of_an_even_rate(tmp_path, name
     assert np.abs(even - UNEVEN_S).max() > 0.1
 
 
-def test_a_stream_that_begins_later_keeps_its_times(tmp_path):
+def test_late_stream_keeps_its_times(tmp_path):
     path = write(tmp_path / "v.mkv", [LEVELS] * 3, (0.0, 0.1, 0.3), start_s=2.0)
     assert [f.time_s for f in read_clip(open_clip(path))] == pytest.approx([2.0, 2.1, 2.3], abs=0.002)
 
 
-def test_a_stream_without_times_has_those_of_its_rate(tmp_path):
-    """A raw stream of MPEG-4 has no container, and so no times of its own beyond the rate."""
+def test_stream_without_times_uses_its_rate(tmp_path):
+    """A raw MPEG-4 stream has no container, and so no times beyond its rate."""
     path = write(tmp_path / "v.m4v", [LEVELS] * 4)
     times = [frame.time_s for frame in read_clip(open_clip(path))]
     assert times == sorted(times) and len(set(times)) == 4
 
 
-def test_what_is_written_with_times_is_read_with_them(tmp_path):
-    """To a ten-thousandth of a second; a time that does not increase comes right after the one before."""
+def test_written_times_are_read_back(tmp_path):
+    """To 1e-4 s; a non-increasing time follows right after its predecessor."""
     path = tmp_path / "v.mp4"
     picture = np.repeat(LEVELS[..., None], 3, axis=2)
     times = [5.0, 5.02, 5.3, 5.3, 6.0]
@@ -122,8 +122,8 @@ def coloured(form, levels, size_px=(802, 600)):
 
 
 @pytest.mark.parametrize("levels", RANGES.values(), ids=RANGES)
-def test_grey_levels_are_those_that_ffmpeg_converts_to(levels):
-    """To the bit, in each pixel format, though what converts is kept from one to the next."""
+def test_grey_levels_match_ffmpeg(levels):
+    """Bit-exact in each pixel format, although the converter is reused."""
     grey = UprightGrey()
     for form in FORMATS:
         frame = coloured(form, levels)
@@ -137,8 +137,8 @@ def test_pictures_of_any_size_are_converted(size_px):
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads as Linux shows them")
-def test_a_conversion_starts_no_thread():
-    """Frames are kept, since the threads of a conversion would last as long as its frame."""
+def test_conversion_starts_no_thread():
+    """Frames are kept, since conversion threads would last as long as their frame."""
     frames = [coloured(form, 1) for form in FORMATS]
     threads = {path.name for path in Path("/proc/self/task").iterdir()}
     grey = UprightGrey()
@@ -147,8 +147,8 @@ def test_a_conversion_starts_no_thread():
     assert {path.name for path in Path("/proc/self/task").iterdir()} <= threads
 
 
-def test_an_upright_frame_raises_nothing_in_pyav(monkeypatch):
-    """A signal that comes while PyAV raises an error is lost, and Ctrl-C was ignored now and then."""
+def test_upright_frame_raises_no_pyav_error(monkeypatch):
+    """A signal during a PyAV error is lost, so that Ctrl-C was sometimes ignored."""
     asked = []
     look_up = SideDataContainer.__getitem__
     monkeypatch.setattr(
@@ -162,8 +162,8 @@ def test_an_upright_frame_raises_nothing_in_pyav(monkeypatch):
 
 
 @pytest.mark.parametrize("held", ["upright", "half turn"])
-def test_a_frame_is_given_back_as_soon_as_its_image_is(tmp_path, held):
-    """Nothing waits for Python to look for objects that hold each other, which it does now and then only."""
+def test_frame_memory_is_released_with_its_image(tmp_path, held):
+    """No reference cycle delays the release until garbage collection."""
     path = tag_display(write(tmp_path / "v.mp4", [LEVELS] * 12), MATRICES[held][0])
     gc.collect()
     gc.disable()
@@ -182,7 +182,7 @@ def noisy(count=30):
 
 
 @pytest.mark.parametrize("name", ["v.mkv", "v.avi"])
-def test_of_a_video_that_was_cut_off_the_beginning_is_read_with_a_warning(tmp_path, name):
+def test_truncated_video_is_read_with_warning(tmp_path, name):
     data = write(tmp_path / name, noisy()).read_bytes()
     whole = [frame.image for frame in read_clip(open_clip(tmp_path / name))]
     (tmp_path / name).write_bytes(data[: len(data) // 2])
@@ -195,8 +195,8 @@ def test_of_a_video_that_was_cut_off_the_beginning_is_read_with_a_warning(tmp_pa
 
 
 @pytest.mark.parametrize("name", ["v.mkv", "v.mp4"])
-def test_of_a_damaged_video_what_can_be_read_is_read_with_a_warning(tmp_path, name):
-    """Bytes in the middle are overwritten: frames before them are as they were."""
+def test_damaged_video_is_read_with_warning(tmp_path, name):
+    """Bytes in the middle are overwritten: earlier frames are unchanged."""
     data = bytearray(write(tmp_path / name, noisy()).read_bytes())
     whole = [frame.image for frame in read_clip(open_clip(tmp_path / name))]
     middle = slice(len(data) // 2, len(data) * 2 // 3)
@@ -208,18 +208,18 @@ def test_of_a_damaged_video_what_can_be_read_is_read_with_a_warning(tmp_path, na
     assert all(np.array_equal(*pair) for pair in zip(read[:12], whole, strict=False))
 
 
-def test_a_whole_video_that_begins_late_or_is_uneven_is_not_called_cut_short(tmp_path):
+def test_late_or_uneven_video_gives_no_warning(tmp_path):
     """Warnings are errors in tests."""
     for name in ("v.mkv", "v.mp4", "v.avi"):
         path = write(tmp_path / name, noisy(5), None if name == "v.avi" else UNEVEN_S, start_s=2.0)
         assert sum(1 for _ in read_clip(open_clip(path))) == 5
 
 
-def test_a_file_with_sound_only_has_no_picture_in_it(tmp_path):
+def test_sound_file_is_rejected(tmp_path):
     with av.open(str(tmp_path / "v.mp4"), "w") as container:
         stream = container.add_stream("aac", rate=44100)
         sound = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
         sound.sample_rate = 44100
         container.mux([*stream.encode(sound), *stream.encode(None)])
-    with pytest.raises(InputError, match=r"cannot be read as a video \(no picture in it\)"):
+    with pytest.raises(InputError, match=r"cannot be read as a video \(it has no picture\)"):
         open_clip(tmp_path / "v.mp4")

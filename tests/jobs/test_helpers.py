@@ -54,7 +54,7 @@ class Adder:
 
 
 @pytest.mark.smoke
-def test_a_helper_answers_in_order_and_keeps_what_it_has():
+def test_helper_answers_in_order_and_keeps_state():
     adder = Adder()
     adder.add(100)  # before the fork: the helper has it as well
     with Helper(adder.add, GONE, waiting=3) as helper:
@@ -67,7 +67,7 @@ def test_a_helper_answers_in_order_and_keeps_what_it_has():
     assert not alive(answers[0][1])
 
 
-def test_an_error_comes_through_whole_and_the_helper_goes_on():
+def test_helper_survives_error_and_passes_it_on():
     with Helper(Adder().add, GONE) as helper:
         helper.ask(None)
         helper.ask(7)
@@ -78,7 +78,7 @@ def test_an_error_comes_through_whole_and_the_helper_goes_on():
         assert helper.answer()[0] == 7
 
 
-def test_an_error_that_cannot_be_pickled_is_told_of():
+def test_unpicklable_error_is_reported():
     class Local(Exception):
         pass
 
@@ -91,8 +91,8 @@ def test_an_error_that_cannot_be_pickled_is_told_of():
             helper.answer()
 
 
-def test_many_requests_wait_in_the_helper_while_its_maker_goes_on():
-    """Each is larger than a pipe holds, so that the maker would wait if nothing read them."""
+def test_pending_requests_do_not_block_maker():
+    """Each is larger than a pipe's buffer, so that the maker would block without a reader."""
     release, image = threading.Event(), np.zeros(10**6, np.uint8)
 
     def hold(request):
@@ -110,7 +110,7 @@ def test_many_requests_wait_in_the_helper_while_its_maker_goes_on():
         os.kill(helper._process.pid, signal.SIGKILL)
 
 
-def test_a_helper_that_was_killed_is_told_of():
+def test_killed_helper_is_reported():
     with Helper(Adder().add, GONE) as helper:
         os.kill(helper._process.pid, signal.SIGKILL)
         with pytest.raises(OutputError, match="the helper is gone"):
@@ -119,7 +119,7 @@ def test_a_helper_that_was_killed_is_told_of():
             helper.ask(1)
 
 
-def test_signals_are_left_to_the_maker():
+def test_helper_leaves_signals_to_maker():
     with Helper(Adder().add, GONE) as helper:
         for name in helpers.SIGNALS:
             os.kill(helper._process.pid, getattr(signal, name))
@@ -149,7 +149,7 @@ print(*[helper._process.pid for helper in all], flush=True)
     maker.stdout.close()
 
 
-def test_one_that_hangs_is_killed_when_it_is_closed(monkeypatch):
+def test_hanging_helper_is_killed_on_close(monkeypatch):
     monkeypatch.setattr(helpers, "PATIENCE_S", 0.2)
     helper = Helper(time.sleep, GONE)
     helper.ask(LIMIT_S)
@@ -158,8 +158,8 @@ def test_one_that_hangs_is_killed_when_it_is_closed(monkeypatch):
     helper.close()  # twice does nothing
 
 
-def test_a_helper_does_not_hold_its_makers_folder(tmp_path):
-    """Who is killed gives its folder up at once, though its helpers need a moment to end."""
+def test_helper_does_not_hold_folder_lock(tmp_path):
+    """A killed process releases its folder at once, although its helpers end a moment later."""
     ours, theirs = FolderLock(), FolderLock()
     assert ours.acquire(tmp_path, 0.0)
     with Helper(Adder().add, GONE) as helper:
@@ -172,14 +172,14 @@ def test_a_helper_does_not_hold_its_makers_folder(tmp_path):
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 5])
-def test_work_is_shared_and_results_are_in_order(jobs):
+def test_shared_work_keeps_order(jobs):
     found = shared(lambda number: (number**2, os.getpid()), range(7), jobs, GONE)
     assert [square for square, _ in found] == [number**2 for number in range(7)]
     pids = {pid for _, pid in found}
     assert len(pids) <= jobs and (os.getpid() in pids) == (jobs == 1)
 
 
-def test_shared_work_ends_with_the_first_error():
+def test_shared_work_ends_with_first_error():
     def fail(number):
         if number == 3:
             raise InputError("number", "3", "another")
@@ -190,14 +190,14 @@ def test_shared_work_ends_with_the_first_error():
     assert not helpers._open
 
 
-def test_opencv_has_one_thread_for_a_while():
+def test_opencv_has_one_thread_inside_context():
     before = cv2.getNumThreads()
     with one_thread():
         assert cv2.getNumThreads() == 1
     assert cv2.getNumThreads() == before
 
 
-def test_cores_are_those_this_process_may_use():
+def test_cores_match_process_affinity():
     mine = os.sched_getaffinity(0)
     assert cores() == len(mine)
     try:

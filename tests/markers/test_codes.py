@@ -48,7 +48,7 @@ def min_distance(bits: np.ndarray, *, mirrored: bool, every: int = 1) -> int:
 
 @pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", SOME)
-def test_markers_differ_by_the_stated_distance_however_turned_or_mirrored(name: str, every: int) -> None:
+def test_markers_keep_distance_under_all_symmetries(name: str, every: int) -> None:
     code = CODES[name]
     bits = code_bits(code)
     assert bits.shape == (code.size, code.cells, code.cells)
@@ -56,8 +56,8 @@ def test_markers_differ_by_the_stated_distance_however_turned_or_mirrored(name: 
     assert min_distance(bits, mirrored=True, every=every) >= code.distance
 
 
-def test_a_dictionary_with_a_turned_copy_in_it_is_caught() -> None:
-    """Negative control of the brute force: OpenCV's 6X6_1000 has mirror images, and a copy has distance 0."""
+def test_distance_check_detects_rotated_copy() -> None:
+    """Negative control: OpenCV's 6X6_1000 has mirror images, and a copy has distance 0."""
     bits = code_bits(CODES["6X6_1900"])[:50]
     copied = np.concatenate([bits, np.rot90(bits[7:8], 1, (1, 2))])
     assert min_distance(copied, mirrored=False) == 0
@@ -67,8 +67,8 @@ def test_a_dictionary_with_a_turned_copy_in_it_is_caught() -> None:
 
 
 @pytest.mark.parametrize(("name", "first", "last"), FROZEN)
-def test_ids_never_change(name: str, first: int, last: int) -> None:
-    """Printed markers outlive versions: the first and the last word of each dictionary, as hexadecimals."""
+def test_ids_are_frozen(name: str, first: int, last: int) -> None:
+    """Printed markers outlive versions: first and last word of each dictionary, hexadecimal."""
     words = [int("".join(str(int(b)) for b in bits.ravel()), 2) for bits in code_bits(CODES[name])[[0, -1]]]
     assert words == [first, last]
 
@@ -88,7 +88,7 @@ def test_names_are_new_and_listed() -> None:
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_opencv_takes_them_with_half_the_distance_to_correct(name: str) -> None:
+def test_opencv_corrects_half_the_distance(name: str) -> None:
     dictionary, code = load_dictionary(name), CODES[name]
     assert isinstance(code, MarkerCode)
     assert dictionary_size(name) == code.size and cells_per_side(name) == code.cells + 2
@@ -111,7 +111,7 @@ def sheet_of(name: str, ids: list[int]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_drawn_markers_are_detected_and_their_mirror_images_are_not(name: str) -> None:
+def test_drawn_markers_are_detected_unless_mirrored(name: str) -> None:
     ids = [0, 1, CODES[name].size // 2, CODES[name].size - 1]
     image = sheet_of(name, ids)
     mirrored = np.ascontiguousarray(image[:, ::-1])
@@ -124,11 +124,11 @@ def test_drawn_markers_are_detected_and_their_mirror_images_are_not(name: str) -
     assert "mirrored" in (explain_mirrored(mirrored, name) or "")
 
 
-def test_apriltag_36h11_is_theirs_by_order_and_orientation() -> None:
+def test_apriltag_36h11_has_published_order_and_orientation() -> None:
     """Ids 0, 1 and 2 of the tag family's published codes, 0xd5d628584, 0xd97f18b49, 0xdd280910e.
 
-    AprilTag lists the first releases' codes row by row from the tag's upper left corner; OpenCV stores the
-    tag half a turn round, which turns headings, not ids.
+    AprilTag lists the first releases' codes row by row from the tag's upper left corner. OpenCV stores the
+    tag rotated by 180 degrees, which changes headings, not ids.
     """
     for marker_id, code in enumerate((0xD5D628584, 0xD97F18B49, 0xDD280910E)):
         published = np.array([code >> k & 1 for k in range(35, -1, -1)], dtype=bool).reshape(6, 6)

@@ -45,8 +45,8 @@ def rms(covariances):
 
 @pytest.mark.smoke
 @pytest.mark.parametrize(("side_px", "noise"), TABLE)
-def test_it_agrees_with_published_figures(side_px, noise):
-    """To 4 % and the table's last digit; the table does not say where its card ends, worth 5 % at 16 px."""
+def test_bound_matches_published_values(side_px, noise):
+    """To 4 % and the table's last digit; the unstated card edge is worth 5 % at 16 px."""
     markers = np.repeat(similarity(side_px)[None], 50, axis=0)
     position, heading = rms(
         pose_covariances(DICTIONARY, ALL, markers, psf_px=0.8, noise=np.hypot(noise, ROUNDING**0.5))
@@ -57,8 +57,8 @@ def test_it_agrees_with_published_figures(side_px, noise):
     assert abs(heading - want_heading) < 0.04 * want_heading + last_digit
 
 
-def test_noise_contrast_and_turns_act_as_they_must():
-    """cov ∝ n², cov ∝ contrast⁻²; and a turn of the image turns the covariance with it."""
+def test_bound_scales_with_noise_contrast_and_rotation():
+    """cov ∝ n², cov ∝ contrast⁻²; rotating the image rotates the covariance."""
     markers = np.repeat(similarity(20.0)[None], 50, axis=0)
     plain = pose_covariances(DICTIONARY, ALL, markers, psf_px=0.8, noise=2.0)
     noisy = pose_covariances(DICTIONARY, ALL, markers, psf_px=0.8, noise=6.0)
@@ -155,7 +155,7 @@ def brute_force_covariances(ids, markers, psf_px, noise, slanted):
         def image(k, by, marker=marker, marker_id=marker_id, pixels=pixels):
             homography, blur, gain, offset, ground = changed(marker, k, by)
             grey = scanned_card(DICTIONARY, marker_id, homography, pixels, blur, 30.0, 230.0, 128.0 + ground)
-            # Gain and offset are of the card alone; of the ground, its level tells.
+            # Gain and offset apply to the card only; the ground has its own level.
             card = scanned_card(DICTIONARY, marker_id, homography, pixels, blur, 1.0, 1.0, 0.0)
             return grey + card * ((gain - 1) * 100 + offset) + (gain - 1) * (grey - 100 * card)
 
@@ -180,10 +180,10 @@ LAYOUT = [
 
 
 @pytest.mark.parametrize("slanted", [False, True])
-def test_it_agrees_with_a_brute_force_fisher_matrix(slanted):
-    """Standard deviations to 3 %: which whole pixels lie on the card varies by that much; on average to 1 %.
+def test_bound_matches_brute_force_fisher_matrix(slanted):
+    """Standard deviations to 3 %, the variation by pixels on the card's edge; on average to 1 %.
 
-    Under tilt the plane's four unknowns are shared by all three markers.
+    Under tilt all three markers share the plane's four unknowns.
     """
     markers = np.array([similarity(*marker) for marker in LAYOUT])
     markers = tilted(markers) if slanted else markers
@@ -197,8 +197,8 @@ def test_it_agrees_with_a_brute_force_fisher_matrix(slanted):
     assert unlike.max() < 0.1
 
 
-def test_an_estimator_that_knows_the_light_reaches_it():
-    """Maximum likelihood by Gauss–Newton on simulated noise; its scatter of 300 draws is known to 4 %."""
+def test_maximum_likelihood_reaches_bound():
+    """Gauss–Newton on simulated noise; the scatter of 300 draws has an error of 4 %."""
     rng = np.random.default_rng(3)
     marker, noise, marker_id = similarity(16.0, 0.4, (30.3, 30.8)), 5.0, 7
     sigma = total_sigma_px(0.8)
@@ -218,8 +218,8 @@ def test_an_estimator_that_knows_the_light_reaches_it():
     assert ((ratio > 0.85) & (ratio < 1.15)).all(), ratio
 
 
-def test_a_plane_shared_by_many_costs_little_and_alone_much():
-    """Sixteen markers at 15 deg: under 6 % in the mean; one alone pays more, and a known plane nothing."""
+def test_unknown_plane_costs_less_with_more_markers():
+    """Sixteen markers at 15 deg: under 6 % on average; a single one costs more, a known plane nothing."""
     ids = np.arange(16)
     markers = tilted(
         [similarity(24.0, 0.4 * k, (40.0 * (k % 4) + 40, 40.0 * (k // 4) + 40)) for k in range(16)]
@@ -236,7 +236,7 @@ def test_a_plane_shared_by_many_costs_little_and_alone_much():
     assert alone[0] > 1.2 * known[0]
 
 
-def test_a_square_seen_from_above_asks_for_no_plane():
+def test_vertical_view_has_no_plane_unknowns():
     markers = np.array([similarity(*marker) for marker in LAYOUT])
     about = dict(psf_px=0.8, noise=5.0)
     np.testing.assert_array_equal(
@@ -246,7 +246,7 @@ def test_a_square_seen_from_above_asks_for_no_plane():
     np.testing.assert_allclose(sides_px(markers), 20.0)
 
 
-def test_bad_input_is_named_and_no_marker_is_no_error():
+def test_bad_input_is_rejected_and_empty_accepted():
     assert pose_covariances(DICTIONARY, [], np.zeros((0, 3, 3)), psf_px=0.8, noise=1.0).shape == (0, 3, 3)
     with pytest.raises(InputError, match="noise 0"):
         pose_covariances(DICTIONARY, [1], similarity(20.0)[None], psf_px=0.8, noise=0.0)
@@ -254,6 +254,6 @@ def test_bad_input_is_named_and_no_marker_is_no_error():
         pose_covariances(DICTIONARY, [1, 2], similarity(20.0)[None], psf_px=0.8, noise=1.0)
 
 
-def test_the_pixels_own_aperture_is_part_of_the_blur():
-    """The same total blur from a sharper lens gives no less: UNIFORM_VARIANCE is in it."""
+def test_pixel_aperture_is_part_of_blur():
+    """The same total blur from a sharper lens gives no less: it includes UNIFORM_VARIANCE."""
     assert total_sigma_px(0.8) ** 2 == pytest.approx(0.64 + UNIFORM_VARIANCE)

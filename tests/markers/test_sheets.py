@@ -40,7 +40,7 @@ def squares_mm(page: str, side_mm: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("paper", "side_mm", "count"), [("A4", 120.0, 3), ("A5", 40.0, 7), ("Letter", 90.0, 3)]
 )
-def test_black_squares_have_their_side_and_place_in_the_pdf(tmp_path, paper, side_mm, count) -> None:
+def test_pdf_squares_have_side_and_position(tmp_path, paper, side_mm, count) -> None:
     layout = write_sheets(tmp_path / "sheets.pdf", range(count), side_mm, "4X4_50", paper)
     data = (tmp_path / "sheets.pdf").read_bytes()
     boxes = re.findall(rb"/MediaBox \[ ?0 0 ([\d.]+) ([\d.]+) ?\]", data)
@@ -54,8 +54,8 @@ def test_black_squares_have_their_side_and_place_in_the_pdf(tmp_path, paper, sid
     np.testing.assert_allclose(found, wanted, atol=1e-4)
 
 
-def test_a_square_of_another_side_is_told_apart(tmp_path) -> None:
-    """Negative control of the reading: a tenth of a millimetre more is not found."""
+def test_pdf_reading_rejects_other_side(tmp_path) -> None:
+    """Negative control of the parser: a side of 0.1 mm more is not found."""
     write_sheets(tmp_path / "sheets.pdf", [3], 40.0, "4X4_50", "A4")
     page = pages_of((tmp_path / "sheets.pdf").read_bytes())[0]
     assert len(squares_mm(page, 40.0)) == 1 and len(squares_mm(page, 40.1)) == 0
@@ -81,7 +81,7 @@ def test_pages_are_detected_at_true_size_heading_up(dictionary: str) -> None:
 
 @pytest.mark.parametrize("paper", PAPERS_MM)
 @pytest.mark.parametrize("dictionary", ["4X4_50", "7X7_8000"])
-def test_the_largest_side_fits_and_a_millimetre_more_does_not(paper: str, dictionary: str) -> None:
+def test_max_side_fits_and_one_mm_more_does_not(paper: str, dictionary: str) -> None:
     side_mm = max_side_mm(paper, dictionary)
     layout = lay_out(paper, side_mm, dictionary)
     x, y = layout.corner_mm(0)
@@ -92,7 +92,7 @@ def test_the_largest_side_fits_and_a_millimetre_more_does_not(paper: str, dictio
 
 
 @pytest.mark.parametrize("side_mm", [15.0, 33.0, 80.0])
-def test_cards_neither_overlap_nor_leave_the_page(side_mm: float) -> None:
+def test_cards_stay_apart_and_on_page(side_mm: float) -> None:
     layout = lay_out("A3", side_mm, "5X5_100")
     corners = np.array([layout.corner_mm(k) for k in range(layout.per_page)])
     assert corners.min() > 8 and (corners.max(axis=0) + layout.card_mm + 8 <= layout.page_mm).all()
@@ -102,7 +102,7 @@ def test_cards_neither_overlap_nor_leave_the_page(side_mm: float) -> None:
 
 
 @pytest.mark.smoke
-def test_ids_and_lengths() -> None:
+def test_ids_and_lengths_are_parsed() -> None:
     assert parse_ids("0-3, 20,2", "4X4_50") == [0, 1, 2, 3, 20]
     assert [parse_length_mm(text, "side") for text in ("0.12m", "12 cm", "120mm", ".5cm")] == [
         120,
@@ -127,7 +127,7 @@ def test_ids_and_lengths() -> None:
         (["--ids", "0", "--side", "3cm", "--out", "no/a.pdf"], ["no/a.pdf", "no folder no"]),
     ],
 )
-def test_what_cannot_be_made_is_one_line_and_leaves_nothing(
+def test_impossible_sheet_is_rejected_and_leaves_nothing(
     tmp_path, monkeypatch, capsys, arguments, words
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -140,7 +140,7 @@ def test_what_cannot_be_made_is_one_line_and_leaves_nothing(
     assert not list(tmp_path.iterdir())
 
 
-def test_the_same_sheet_twice_is_the_same_file(tmp_path, capsys) -> None:
+def test_sheet_is_reproducible(tmp_path, capsys) -> None:
     for name in ("a.pdf", "b.pdf"):
         with pytest.raises(SystemExit) as left:
             main(["markers", "--ids", "0-3", "--side", "3cm", "--paper", "a4", "--out", str(tmp_path / name)])

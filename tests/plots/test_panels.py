@@ -82,7 +82,7 @@ def drawn(axes: Any, label_start: str) -> list[np.ndarray]:
     return [np.asarray(line.get_ydata()) for line in axes.lines if line.get_label().startswith(label_start)]
 
 
-def test_every_panel_is_a_png_and_an_svg(figures: list[FigureFile]) -> None:
+def test_every_panel_has_png_and_svg(figures: list[FigureFile]) -> None:
     assert [figure.name for figure in figures] == [panel.name for panel in PANELS]
     for figure in figures:
         with Image.open(figure.png) as image:
@@ -94,13 +94,13 @@ def test_every_panel_is_a_png_and_an_svg(figures: list[FigureFile]) -> None:
     assert left == {f"{panel.name}.{kind}" for panel in PANELS for kind in ("png", "svg")}
 
 
-def test_the_same_history_gives_the_same_bytes_whatever_a_users_settings_of_matplotlib(
+def test_figures_ignore_user_settings_of_matplotlib(
     shown: History,
     figures: list[FigureFile],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Every fourth of one step, all of several, are drawn a second time, under settings that would show."""
+    """Every fourth of one step, all of several, are redrawn under conspicuous settings."""
     every = 4 if shown.times_s.size == 1 else 1
     monkeypatch.setattr(panels, "PANELS", PANELS[::every])
     with mpl.rc_context({"font.size": 20, "axes.facecolor": "black", "svg.hashsalt": None}):
@@ -111,7 +111,7 @@ def test_the_same_history_gives_the_same_bytes_whatever_a_users_settings_of_matp
         assert one.svg.read_bytes() == other.svg.read_bytes()
 
 
-def test_a_lone_value_shows_as_a_dot(one_step_one_unit: History, draw: Any) -> None:
+def test_single_value_is_drawn_as_dot(one_step_one_unit: History, draw: Any) -> None:
     figure = draw(curves.draw_shape_error, one_step_one_unit)
     (line,) = [line for line in figure.axes[0].lines if line.get_label() == "shape error"]
     assert line.get_marker() == "o"
@@ -138,18 +138,18 @@ LOGARITHMIC = {"cost", "shape_error"}
         ),
     ],
 )
-def test_nothing_to_show_is_no_error(panel: Panel, value: float, history: History, draw: Any) -> None:
+def test_empty_panel_is_no_error(panel: Panel, value: float, history: History, draw: Any) -> None:
     empty = {name: np.full_like(getattr(history, name), value) for name in COLUMNS}
     unseen = [ImageTrace(trace.times_s, np.full_like(trace.points_px, np.nan)) for trace in history.traces]
     draw(panel.draw, replace(history, **empty, traces=unseen))
 
 
-def test_a_unit_without_images(history: History, draw: Any) -> None:
+def test_unit_without_images_is_drawn(history: History, draw: Any) -> None:
     blind = ImageTrace(np.zeros(0), np.zeros((0, history.ids.size), dtype=complex))
     draw(maps.draw_image_traces, replace(history, traces=[blind, *history.traces[1:]]))
 
 
-def test_the_cost_is_the_historys(history: History, draw: Any) -> None:
+def test_cost_matches_history(history: History, draw: Any) -> None:
     figure = draw(curves.draw_cost, history)
     for axes in figure.axes:
         np.testing.assert_array_equal(drawn(axes, "V"), [history.V])
@@ -166,7 +166,7 @@ def test_the_cost_is_the_historys(history: History, draw: Any) -> None:
         (curves.draw_yaws, "yaws_rad", 180 / np.pi),
     ],
 )
-def test_a_line_a_unit_is_the_historys(
+def test_unit_lines_match_history(
     panel: Callable[[History], Figure], column: str, factor: float, history: History, draw: Any
 ) -> None:
     figure = draw(panel, history)
@@ -174,13 +174,13 @@ def test_a_line_a_unit_is_the_historys(
     np.testing.assert_allclose(drawn(figure.axes[0], "unit"), expected, rtol=1e-9)
 
 
-def test_robot_velocities_are_the_historys(history: History, draw: Any) -> None:
+def test_robot_velocities_match_history(history: History, draw: Any) -> None:
     figure = draw(curves.draw_robot_velocities, history)
     for axes, values in zip(figure.axes[:2], (history.v_mps, history.omega_radps), strict=True):
         np.testing.assert_array_equal([line.get_ydata() for line in axes.lines[1:]], each_column(values))
 
 
-def test_paths_and_traces_are_the_historys(history: History, draw: Any) -> None:
+def test_paths_and_traces_match_history(history: History, draw: Any) -> None:
     on_ground = draw(maps.draw_paths, history).axes[0].lines
     for robot, line in enumerate(on_ground[: history.ids.size]):
         np.testing.assert_array_equal(line.get_xydata(), history.positions_m[:, robot])
@@ -200,21 +200,21 @@ def test_camera_speeds_are_finite_differences(history: History) -> None:
     np.testing.assert_allclose(curves.camera_speeds_mps(history), expected, rtol=1e-6)
 
 
-def test_zoom_is_shown_where_it_changes(draw: Any) -> None:
+def test_zoom_panel_appears_only_if_zoom_changes(draw: Any) -> None:
     zooming = short_run("triangle", 1.0, "units.0.zoom=[[0, 1], [1, 2]]")
     axes = draw(curves.draw_heights, zooming).axes
     assert len(axes) == 2
     np.testing.assert_array_equal(drawn(axes[1], "unit"), each_column(zooming.zooms))
 
 
-def test_the_template_has_v_down(history: History, draw: Any) -> None:
+def test_template_axis_points_down(history: History, draw: Any) -> None:
     axes = draw(maps.draw_template, history).axes[0]
     assert axes.yaxis_inverted()
     (dots,) = [line for line in axes.lines if line.get_marker() == "o"]
     np.testing.assert_array_equal(to_complex(dots.get_xydata()), history.mission.template.points_px)
 
 
-def test_the_topologys_bars_cover_what_is_controlled(history: History, draw: Any) -> None:
+def test_topology_bars_cover_controlled_times(history: History, draw: Any) -> None:
     axes = draw(draw_topology, history).axes[0]
     areas = {
         to_hex(bars.get_facecolor()[0]): sum(
@@ -227,19 +227,19 @@ def test_the_topologys_bars_cover_what_is_controlled(history: History, draw: Any
     assert areas == {unit_color(unit).lower(): pytest.approx(area) for unit, area in enumerate(expected)}
 
 
-def test_runs_are_the_stretches_of_equal_rows() -> None:
+def test_runs_are_stretches_of_equal_rows() -> None:
     states = np.array([[1, 0], [1, 0], [1, 1], [0, 1], [0, 1]], dtype=bool)
     assert list(runs(states)) == [(0, 2), (2, 3), (3, 5)]
     assert list(runs(states[:1])) == [(0, 1)]
 
 
-def test_unwrap_steps_over_unknown_angles() -> None:
+def test_unwrap_skips_unknown_angles() -> None:
     angles_rad = np.array([3.0, np.nan, -3.0, -2.9])
     np.testing.assert_allclose(curves.unwrap(angles_rad), [3.0, np.nan, 2 * np.pi - 3.0, 2 * np.pi - 2.9])
 
 
 @pytest.mark.parametrize("count", [6, 16, 30])
-def test_a_star_is_joined_tip_to_notch(count: int) -> None:
+def test_star_outline_joins_tip_to_notch(count: int) -> None:
     points = to_complex(np.random.default_rng(count).permutation(shape_points("star", count)))
     radii = np.abs(points[maps.formation_order(points)])
     assert ((radii > 0.9) != (np.roll(radii, 1) > 0.9)).all()
@@ -247,14 +247,14 @@ def test_a_star_is_joined_tip_to_notch(count: int) -> None:
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 11])
-def test_an_outline_joins_each_point_once_and_never_crosses(count: int) -> None:
+def test_outline_visits_each_point_and_never_crosses(count: int) -> None:
     points = to_complex(np.random.default_rng(count).normal(size=(count, 2)))
     order = maps.formation_order(points)
     assert sorted(order) == list(range(count))
     ends = list(zip(points[order], points[np.roll(order, -1)], strict=True))
 
     def apart(a: complex, b: complex, c: complex, d: complex) -> bool:
-        """Whether c and d lie on one side of the line from a to b, or touch it."""
+        """Return whether c and d lie on one side of the line from a to b, or touch it."""
         return bool(((b - a).conjugate() * (c - a)).imag * ((b - a).conjugate() * (d - a)).imag > -1e-9)
 
     for index, (a, b) in enumerate(ends):
@@ -262,7 +262,7 @@ def test_an_outline_joins_each_point_once_and_never_crosses(count: int) -> None:
             assert apart(a, b, c, d) or apart(c, d, a, b)
 
 
-def test_a_file_that_cannot_be_written_is_named(history: History, tmp_path: Path) -> None:
+def test_unwritable_file_is_named(history: History, tmp_path: Path) -> None:
     (tmp_path / "paths.png").mkdir()
     with pytest.raises(OutputError, match=r"paths\.png: cannot be written"):
         write_figures(history, tmp_path)

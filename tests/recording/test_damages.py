@@ -193,13 +193,13 @@ def check_damage(written, number, path):
         np.testing.assert_array_equal(step.positions_m, written.positions_m[row])
 
 
-def test_damage_is_told_and_costs_what_it_hit(closed, tmp_path):
+def test_damage_is_reported_and_costs_only_hit_chunks(closed, tmp_path):
     for number in range(66):
         check_damage(closed, number, tmp_path / "run.mcap")
 
 
 @pytest.mark.slow
-def test_500_damages_of_closed_files_and_500_of_killed_ones(closed, killed, tmp_path):
+def test_thousand_random_damages(closed, killed, tmp_path):
     for written in (closed, killed):
         for number in range(500):
             if written is killed and DAMAGES[number % len(DAMAGES)] is break_off:
@@ -207,7 +207,7 @@ def test_500_damages_of_closed_files_and_500_of_killed_ones(closed, killed, tmp_
             check_damage(written, 1000 + number, tmp_path / "run.mcap")
 
 
-def test_the_file_that_nobody_damaged_is_whole(closed, tmp_path):
+def test_undamaged_file_is_whole(closed, tmp_path):
     path = tmp_path / "run.mcap"
     path.write_bytes(closed.data)
     recording = read_recording(path)
@@ -220,11 +220,11 @@ def flaws_of(data, path):
     return [flaw.kind for flaw in recording.flaws], len(recording.steps)
 
 
-def test_what_is_missing_damaged_or_cut_short_is_told_apart(closed, killed, tmp_path):
+def test_flaw_kinds_are_distinguished(closed, killed, tmp_path):
     path, (start, end) = tmp_path / "run.mcap", closed.spans[6]
     lost, data = len(closed.rows[6]), closed.data
     assert flaws_of(data[:start] + data[end:], path) == (["missing"], 21 - lost)
-    # One bit of what the chunk packs, and one of its opcode, which no checksum of a chunk covers.
+    # One bit of the chunk's content, and one of its opcode, which no chunk checksum covers.
     inside = bytearray(data)
     inside[(start + end) // 2] ^= 1
     assert flaws_of(bytes(inside), path) == (["damaged", "missing"], 21 - lost)
@@ -246,16 +246,16 @@ def test_what_is_missing_damaged_or_cut_short_is_told_apart(closed, killed, tmp_
     assert flaws_of(swapped, path) == (["misplaced"], 21)
 
 
-def test_every_bit_of_the_end_of_a_file_counts(closed, tmp_path):
-    """Metadata with the wall time, the closing record, the summary and the footer, a bit of each byte."""
+def test_any_flipped_bit_of_footer_is_detected(closed, tmp_path):
+    """A bit of each byte of the metadata, the closing record, the summary and the footer."""
     for at in range(closed.spans[-1][1], len(closed.data), 7):
         data = bytearray(closed.data)
         data[at] ^= 1 << (at % 8)
         assert survey(io.BytesIO(bytes(data))).flaws, at
 
 
-def test_the_last_bytes_of_a_file_are_its_mark_and_no_others(closed, tmp_path):
-    """Nothing but the mark itself covers them: neither what is smaller nor what is greater will do."""
+def test_changed_end_mark_is_detected(closed, tmp_path):
+    """No checksum covers the mark: neither smaller nor greater values are accepted."""
     for at in range(-len(MAGIC), 0):
         for by in (-1, 1):
             data = bytearray(closed.data)
@@ -263,8 +263,8 @@ def test_the_last_bytes_of_a_file_are_its_mark_and_no_others(closed, tmp_path):
             assert flaws_of(bytes(data), tmp_path / "run.mcap") == (["cut short"], 21)
 
 
-def test_a_run_that_was_left_in_its_middle_has_a_whole_file_and_no_end(closed, tmp_path):
-    """As after Ctrl-C: the file is closed, and says itself that the run did not come to its end."""
+def test_interrupted_run_has_intact_file_without_end(closed, tmp_path):
+    """As after Ctrl-C: the file is closed, and states that the run did not end."""
     path = tmp_path / "run.mcap"
     mission = load_mission("triangle", ["perception=ideal"])
     with McapRecorder(path, mission) as recorder:
@@ -277,7 +277,7 @@ def test_a_run_that_was_left_in_its_middle_has_a_whole_file_and_no_end(closed, t
     assert survey(io.BytesIO(closed.data)).ended
 
 
-def test_flaws_are_told_in_one_line_and_the_fourth_is_counted():
+def test_flaws_are_one_line_and_fourth_is_counted():
     flaws = [Flaw("damaged", f"the chunk at byte {start}") for start in range(5)]
     three = "; ".join(f"damaged: the chunk at byte {start}" for start in range(3))
     assert describe_flaws(flaws[:1]) == "damaged: the chunk at byte 0"
@@ -286,7 +286,7 @@ def test_flaws_are_told_in_one_line_and_the_fourth_is_counted():
     assert describe_flaws(flaws) == f"{three}; and 2 more"
 
 
-def test_a_disk_that_fails_while_a_recording_is_read_is_one_line(closed, tmp_path, monkeypatch):
+def test_read_failure_is_one_line(closed, tmp_path, monkeypatch):
     def fail(stream):
         raise OSError(errno.EIO, "Input/output error")
 
@@ -296,26 +296,26 @@ def test_a_disk_that_fails_while_a_recording_is_read_is_one_line(closed, tmp_pat
         read_recording(tmp_path / "run.mcap")
 
 
-def test_the_mission_is_read_from_its_copy(closed, tmp_path):
+def test_mission_is_read_from_its_copy(closed, tmp_path):
     for number in (0, 1):
         start, end = closed.spans[number]
         kinds, steps = flaws_of(closed.data[:start] + closed.data[end:], tmp_path / "run.mcap")
         assert (kinds, steps) == (["missing"], 21)
     path = tmp_path / "run.mcap"
     path.write_bytes(closed.data[: closed.spans[0][0]] + closed.data[closed.spans[1][1] :])
-    with pytest.raises(InputError, match="its mission is not there"):
+    with pytest.raises(InputError, match="its mission is missing"):
         read_recording(path)
 
 
 @pytest.mark.parametrize("content", [b"", MAGIC])
-def test_a_run_that_was_killed_at_once_has_recorded_nothing_yet(tmp_path, content):
+def test_run_killed_at_once_has_no_record(tmp_path, content):
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
     with pytest.raises(InputError, match="nothing was recorded yet"):
         read_recording(path)
 
 
-def test_a_mission_without_a_step_has_recorded_nothing_yet(closed, tmp_path):
+def test_mission_without_step_has_no_record(closed, tmp_path):
     path = tmp_path / "run.mcap"
     path.write_bytes(closed.data[: closed.spans[1][1]])
     with pytest.raises(InputError, match="nothing was recorded yet"):
@@ -334,8 +334,8 @@ def test_a_mission_without_a_step_has_recorded_nothing_yet(closed, tmp_path):
         ("large", "at most 64 GiB are read"),
     ],
 )
-def test_a_recording_comes_in_by_the_door_for_files(tmp_path, name, said):
-    """What is no regular file is not waited for, nor read without an end."""
+def test_non_regular_recording_is_rejected(tmp_path, name, said):
+    """A non-regular file neither blocks nor is read without end."""
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     (tmp_path / "large").touch()
@@ -346,19 +346,19 @@ def test_a_recording_comes_in_by_the_door_for_files(tmp_path, name, said):
             read(tmp_path / name)
 
 
-def test_a_chunk_is_whole_steps_and_no_longer_than_half_a_second(closed):
+def test_chunk_has_whole_steps_of_half_a_second(closed):
     assert all(closed.rows[2:-1])
     assert max(len(rows) for rows in closed.rows) <= 2
     assert all(after[0] == before[-1] + 1 for before, after in pairwise(closed.rows[2:-1]))
 
 
-def test_steps_with_images_are_read_around_damage_too(closed, tmp_path):
+def test_steps_with_images_are_read_around_damage(closed, tmp_path):
     path, (start, end) = tmp_path / "run.mcap", closed.spans[6]
     path.write_bytes(closed.data[:start] + closed.data[end:])
     assert [s.time_s for s in read_steps(path)] == [s.time_s for s in read_recording(path).steps]
 
 
-def test_chunks_are_found_wherever_the_blocks_end_that_are_searched(closed, monkeypatch):
+def test_chunks_are_found_at_any_block_boundary(closed, monkeypatch):
     """A block may end within the mark of a chunk, or right before it."""
     begun = [start for start, _ in closed.spans[:4]]
     head = closed.data[: closed.spans[3][1]]

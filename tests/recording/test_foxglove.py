@@ -19,7 +19,7 @@ def overlay():
     return plain(drawn.message)
 
 
-def test_overlays_are_as_their_schema_says(overlay) -> None:
+def test_overlays_follow_schema(overlay) -> None:
     assert_valid(overlay, foxglove.ANNOTATIONS[1])
     assert [len(overlay[kind]) for kind in ("circles", "points", "texts")] == [1, 1, 1]
     with pytest.raises(AssertionError):
@@ -29,7 +29,7 @@ def test_overlays_are_as_their_schema_says(overlay) -> None:
         assert_valid(overlay, foxglove.ANNOTATIONS[1])
 
 
-def test_pixels_begin_at_the_corner_of_the_first_one_and_shrink_with_the_picture(overlay) -> None:
+def test_pixels_start_at_corner_and_scale(overlay) -> None:
     assert overlay["circles"][0]["position"] == {"x": 50.0, "y": 25.0}
     assert overlay["points"][0]["points"][2] == {"x": 5.25, "y": 10.25}
     assert overlay["texts"][0]["position"] == {"x": 0.0, "y": 320.0}
@@ -37,7 +37,7 @@ def test_pixels_begin_at_the_corner_of_the_first_one_and_shrink_with_the_picture
     assert overlay["texts"][0]["timestamp"] == {"sec": 12, "nsec": 250_000_000}
 
 
-def test_an_image_comes_back() -> None:
+def test_image_is_decoded_again() -> None:
     image = np.add.outer(np.arange(48), 2 * np.arange(64)).astype(np.uint8)
     message = plain(foxglove.compressed_image(image, 1.5, "unit/0/camera", 90))
     assert_valid(message, foxglove.IMAGE[1])
@@ -46,8 +46,8 @@ def test_an_image_comes_back() -> None:
     assert message["format"] == "jpeg" and np.abs(back.astype(int) - image).mean() < 2
 
 
-def test_places_turn_counter_clockwise_seen_from_above() -> None:
-    """By Foxglove's own example: a quarter of a turn takes (1, 0) of the child to (x, y + 1)."""
+def test_transforms_rotate_counter_clockwise() -> None:
+    """By Foxglove's own example: a quarter turn maps (1, 0) of the child to (x, y + 1)."""
     message = plain(foxglove.frame_transforms(2.0, "ground", {"robot": (1.0, 2.0, np.pi / 2)}))
     assert_valid(message, foxglove.TRANSFORMS[1])
     (transform,) = message["transforms"]

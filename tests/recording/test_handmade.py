@@ -82,8 +82,8 @@ def write(path, messages, *, chunk_size=2**40, wall_s="1.0"):
         ("/unit/0/goals", "ids", "ids must be of robots that were seen"),
     ],
 )
-def test_a_single_id_that_belongs_to_nobody_is_refused(tmp_path, topic, key, why):
-    """Among others that are right, the last and largest of them, so that the order stays."""
+def test_unknown_id_is_rejected(tmp_path, topic, key, why):
+    """It is the last and largest of otherwise valid ids, so that the order stays."""
     path, strange = tmp_path / "run.mcap", []
     messages = recorded(load_mission("star", ["duration_s=0.2", "perception=ideal"]), path)
     for name, time_s, text in messages[1:]:
@@ -156,29 +156,27 @@ def check_change(messages, number, path):
     return False
 
 
-def test_a_recording_that_says_what_cannot_be_is_refused_when_it_is_read(messages, tmp_path):
+def test_impossible_recording_is_rejected(messages, tmp_path):
     refused = sum(check_change(messages, number, tmp_path / "run.mcap") for number in range(24))
     assert refused > 6  # most others replaced a value by one that may be
 
 
 @pytest.mark.parametrize("number", [1484, 2600])
-def test_numbers_beyond_all_images_are_refused_before_anything_is_computed_of_them(
-    messages, tmp_path, number
-):
-    """Centres at 1e300 px, whose squares overflow, among them; NumPy would warn, and go on."""
+def test_huge_positions_are_rejected_before_use(messages, tmp_path, number):
+    """Centres at 1e300 px, whose squares overflow: NumPy would warn and continue."""
     check_change(messages, number, tmp_path / "run.mcap")
 
 
 @pytest.mark.slow
-def test_2000_hand_made_recordings(messages, tmp_path):
+def test_2000_altered_recordings(messages, tmp_path):
     for number in range(1000, 3000):
         check_change(messages, number, tmp_path / "run.mcap")
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_the_report_of_100_hand_made_recordings(messages, tmp_path):
-    """Figures and page too, of those that are not refused."""
+def test_report_of_100_altered_recordings(messages, tmp_path):
+    """Includes figures and page of accepted recordings."""
     for number in range(100):
         try:
             if not check_change(messages, number, tmp_path / "run.mcap"):
@@ -188,13 +186,13 @@ def test_the_report_of_100_hand_made_recordings(messages, tmp_path):
 
 
 @pytest.mark.parametrize("wall_s", ["0.0", "0.25", "1.0", "86400.5"])
-def test_a_wall_time_is_read_as_it_was_written(messages, tmp_path, wall_s):
+def test_wall_time_is_read_back(messages, tmp_path, wall_s):
     path = tmp_path / "run.mcap"
     write(path, [messages[0], *messages[2:]], wall_s=wall_s)
     assert read_recording(path).wall_s == float(wall_s)
 
 
-def test_the_first_of_two_wrong_keys_is_named(messages, tmp_path):
+def test_first_of_two_wrong_keys_is_named(messages, tmp_path):
     mission = json.loads(messages[0][2])
     mission["scenario"] |= {"step_s": -1, "goal": 3}
     write(tmp_path / "run.mcap", [(*messages[0][:2], json.dumps(mission)), *messages[2:]])
@@ -203,14 +201,14 @@ def test_the_first_of_two_wrong_keys_is_named(messages, tmp_path):
 
 
 @pytest.mark.parametrize("wall_s", ["x", "nan", "-1", "inf", "\0", "9" * 400])
-def test_a_wall_time_that_is_none_is_not_known(messages, tmp_path, wall_s):
+def test_invalid_wall_time_is_unknown(messages, tmp_path, wall_s):
     path = tmp_path / "run.mcap"
     write(path, [messages[0], *messages[2:]], wall_s=wall_s)
     recording = read_recording(path)
     assert recording.whole and recording.wall_s is None
 
 
-def test_text_that_is_no_json_and_topics_that_are_none(messages, tmp_path):
+def test_invalid_json_and_topics_are_rejected(messages, tmp_path):
     path = tmp_path / "run.mcap"
     for text in ("{", "", "[" * 5000, "\ud800".encode("utf-8", "surrogatepass").decode("latin-1")):
         write(path, [messages[0], ("/world", 0.0, text), *messages[3:]])
@@ -231,7 +229,7 @@ def test_text_that_is_no_json_and_topics_that_are_none(messages, tmp_path):
             read_recording(path)
 
 
-def test_an_mcap_file_of_others_is_refused_in_one_line(tmp_path):
+def test_foreign_mcap_file_is_rejected(tmp_path):
     path = tmp_path / "theirs.mcap"
     for compression in (CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD):
         with path.open("wb") as stream:
@@ -241,6 +239,6 @@ def test_an_mcap_file_of_others_is_refused_in_one_line(tmp_path):
             for _ in range(3):
                 writer.add_message(channel, log_time=0, publish_time=0, data=b"{}")
             writer.finish()
-        with pytest.raises(InputError, match="nothing of it can be read") as refusal:
+        with pytest.raises(InputError, match="it cannot be read") as refusal:
             read_recording(path)
         assert "\n" not in str(refusal.value)

@@ -67,12 +67,12 @@ def check_killed(tmp_path, wait_s, capsys, monkeypatch):
         assert len(said.splitlines()) == 1 and "Traceback" not in said
 
 
-def test_a_killed_run_loses_at_most_half_a_second(tmp_path, capsys, monkeypatch):
+def test_killed_run_loses_at_most_half_a_second(tmp_path, capsys, monkeypatch):
     check_killed(tmp_path, 0.15, capsys, monkeypatch)
 
 
-def test_a_run_that_is_killed_after_its_first_step_has_a_report(tmp_path, monkeypatch):
-    """Whole, with its figures."""
+def test_run_killed_after_first_step_has_report(tmp_path, monkeypatch):
+    """The report is complete, with its figures."""
     monkeypatch.setattr(sys, "argv", ["skyherd", "report", str(tmp_path)])
     mission = load_mission("triangle", ["perception=ideal"])
     with McapRecorder(tmp_path / "run.mcap", mission) as recorder:
@@ -84,8 +84,8 @@ def test_a_run_that_is_killed_after_its_first_step_has_a_report(tmp_path, monkey
 
 
 @pytest.mark.parametrize("step_s", [0.04, 0.1, 0.3, 1.0])
-def test_after_every_step_the_file_lacks_at_most_half_a_second(tmp_path, step_s):
-    """What SIGKILL leaves is what the operating system was given: here it is read after each step."""
+def test_file_lags_at_most_half_a_second_at_any_step(tmp_path, step_s):
+    """SIGKILL leaves the data given to the operating system: they are read after each step."""
     path, rate_hz = tmp_path / "run.mcap", min(10.0, 1 / step_s)
     settings = [f"step_s={step_s}", f"units.*.frame_rate_hz={rate_hz}", "duration_s=3.0"]
     mission = load_mission("triangle", ["perception=ideal", *settings])

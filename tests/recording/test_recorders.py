@@ -55,9 +55,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     return lambda **options: run_mission(mission, tmp_path / "run", video=False, **options)
 
 
-def test_a_recorder_of_ones_own_gets_every_step_once_and_in_order(
-    run: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_user_recorder_gets_every_step_once_in_order(run: Callable[..., Any], tmp_path: Path) -> None:
     recorder, reported = PathRecorder(tmp_path / "path.txt"), Reported()
     run(recorders=[recorder], progress=reported)
     recording = read_recording(tmp_path / "run" / RECORDING)
@@ -72,7 +70,7 @@ def test_a_recorder_of_ones_own_gets_every_step_once_and_in_order(
     assert "found 6/6" in str(reported.calls[0][3]) and "drawing" in str(reported.calls[-1][3])
 
 
-def test_a_recorder_is_closed_when_a_run_is_interrupted(run: Callable[..., Any], tmp_path: Path) -> None:
+def test_recorder_is_closed_on_interrupt(run: Callable[..., Any], tmp_path: Path) -> None:
     def interrupt(step: Step) -> None:
         if step.time_s > 0.15:
             raise KeyboardInterrupt

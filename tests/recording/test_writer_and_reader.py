@@ -44,7 +44,7 @@ def record(path, mission, steps, *, images=False, wall_s=1.5):
 
 
 @pytest.mark.smoke
-def test_reading_back_gives_the_same_history(tmp_path, mission, steps):
+def test_recording_gives_same_history(tmp_path, mission, steps):
     recording = read_recording(record(tmp_path / "run.mcap", mission, steps))
     live, read = make_history(mission, steps), make_history(recording.mission, recording.steps)
     for name in (
@@ -63,7 +63,7 @@ def test_reading_back_gives_the_same_history(tmp_path, mission, steps):
     assert summarize(live, 1.5) == summarize(read, recording.wall_s)
 
 
-def test_goals_and_detections_come_back_to_the_last_bit(tmp_path, mission, steps):
+def test_goals_and_detections_are_bit_exact(tmp_path, mission, steps):
     recording = read_recording(record(tmp_path / "run.mcap", mission, steps))
     for live, read in zip(steps, recording.steps, strict=True):
         for unit, frame in live.frames.items():
@@ -74,7 +74,7 @@ def test_goals_and_detections_come_back_to_the_last_bit(tmp_path, mission, steps
             np.testing.assert_array_equal(frame.decision.goals.rho_px, theirs.decision.goals.rho_px)
 
 
-def test_images_come_back_as_jpeg_does(tmp_path, mission, steps):
+def test_images_are_read_back_as_jpeg(tmp_path, mission, steps):
     path = record(tmp_path / "run.mcap", mission, steps[:2], images=True)
     assert read_recording(path).has_images
     unit = next(iter(steps[0].frames))
@@ -84,7 +84,7 @@ def test_images_come_back_as_jpeg_does(tmp_path, mission, steps):
 
 
 @pytest.mark.parametrize("fraction", [0.35, 0.6, 0.95])
-def test_a_torn_file_reads_up_to_its_last_whole_chunk(tmp_path, mission, steps, fraction):
+def test_truncated_file_reads_to_last_whole_chunk(tmp_path, mission, steps, fraction):
     path = record(tmp_path / "run.mcap", mission, steps)
     with path.open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
@@ -101,13 +101,13 @@ def test_a_torn_file_reads_up_to_its_last_whole_chunk(tmp_path, mission, steps, 
     assert len(recording.steps) >= int(len(steps) * fraction) - 5
 
 
-def test_a_run_of_one_step_is_read_back_whole(tmp_path, mission, steps):
+def test_run_of_one_step_is_whole(tmp_path, mission, steps):
     path = record(tmp_path / "run.mcap", mission, steps[:1])
     recording = read_recording(path)
     assert (len(recording.steps), recording.wall_s) == (1, 1.5)
 
 
-def test_a_whole_file_is_whole_for_an_indexed_reader(tmp_path, mission, steps):
+def test_indexed_reader_accepts_whole_file(tmp_path, mission, steps):
     with record(tmp_path / "run.mcap", mission, steps).open("rb") as stream:
         summary = make_reader(stream).get_summary()
     topics = {channel.topic for channel in summary.channels.values()}
@@ -115,7 +115,7 @@ def test_a_whole_file_is_whole_for_an_indexed_reader(tmp_path, mission, steps):
     assert summary.statistics.message_count == len(list(read_messages(tmp_path / "run.mcap")))
 
 
-def test_what_is_no_recording_is_refused(tmp_path):
+def test_non_recording_is_rejected(tmp_path):
     text = tmp_path / "run.mcap"
     text.write_text("not a recording")
     with pytest.raises(InputError, match="not a recording"):
@@ -137,9 +137,7 @@ def older_step(topic, record):
 
 
 @pytest.mark.parametrize(("change", "at"), [(older_scenario, "detour"), (older_step, "fleet")])
-def test_a_recording_of_another_version_is_refused_in_one_line(
-    tmp_path, mission, steps, monkeypatch, change, at
-):
+def test_recording_of_other_version_is_rejected(tmp_path, mission, steps, monkeypatch, change, at):
     put = McapLog.put
 
     def put_changed(self, topic, time_s, record, *schema):
@@ -159,7 +157,7 @@ def messages_of(path):
 
 
 @pytest.mark.smoke
-def test_the_same_seed_gives_the_same_messages_byte_for_byte(tmp_path, mission, steps, steps_again):
+def test_same_seed_gives_same_messages(tmp_path, mission, steps, steps_again):
     first = messages_of(record(tmp_path / "first.mcap", mission, steps))
     again = messages_of(record(tmp_path / "again.mcap", mission, steps_again, wall_s=2.5))
     other_mission = load_mission("star", ["duration_s=0.4"], seed=2)
@@ -169,8 +167,8 @@ def test_the_same_seed_gives_the_same_messages_byte_for_byte(tmp_path, mission, 
     assert first[2 : len(other) - 1] != other[2:-1], "all but the mission itself and the end"
 
 
-def test_the_same_run_in_the_same_time_gives_the_same_file(tmp_path, mission, steps, steps_again):
-    """The wall time is all that may differ."""
+def test_same_run_and_wall_time_gives_same_file(tmp_path, mission, steps, steps_again):
+    """Only the wall time may differ."""
     first = record(tmp_path / "first.mcap", mission, steps).read_bytes()
     assert record(tmp_path / "again.mcap", mission, steps_again).read_bytes() == first
 
@@ -184,8 +182,8 @@ def test_the_same_run_in_the_same_time_gives_the_same_file(tmp_path, mission, st
         ([0.5, 2, np.nan, 0.5], 3.0),
     ],
 )
-def test_the_goal_is_reached_once_the_error_stays_below_it(errors, reached):
-    """Seconds of four images, errors in goals; an error that is not known is not below."""
+def test_goal_is_reached_once_error_stays_below(errors, reached):
+    """Four images per second with goal errors; an unknown error is not below."""
     second = ["duration_s=3.0", "step_s=1.0", "units.0.frame_rate_hz=1.0"]
     mission = load_mission("triangle", ["perception=ideal", *second])
     history = make_history(mission, run_steps(mission))
@@ -193,8 +191,8 @@ def test_the_goal_is_reached_once_the_error_stays_below_it(errors, reached):
     assert reached_s(replace(history, shape_error=goal * np.array(errors))) == reached
 
 
-def test_converged_means_held_to_the_end(ideal_triangle):
-    """How long a mission is and how long it is to hold changes nothing in what the robots do until then."""
+def test_converged_requires_hold_to_end(ideal_triangle):
+    """Duration and hold time do not change the robots' behaviour until then."""
 
     def held(duration_s, hold_s):
         settings = [f"duration_s={duration_s}", f"goal.hold_s={hold_s}"]

@@ -30,7 +30,7 @@ HOSTILE = '<script>alert(1)</script> & "quoted" {{ title }}'
 
 
 @pytest.mark.parametrize("package", PAGES)
-def test_every_page_extends_the_base_and_leaves_escaping_to_the_engine(package: str) -> None:
+def test_every_page_extends_base_and_uses_autoescape(package: str) -> None:
     templates = files(package).joinpath("templates")
     found = {file.name for file in templates.iterdir() if file.name.endswith(".html")}
     assert found - {"base.html", "parts.html"} == PAGES[package].keys()
@@ -41,7 +41,7 @@ def test_every_page_extends_the_base_and_leaves_escaping_to_the_engine(package: 
 
 
 @pytest.mark.smoke
-def test_what_is_inserted_never_becomes_markup_or_template() -> None:
+def test_inserted_text_never_becomes_markup() -> None:
     table = {"title": HOSTILE, "note": HOSTILE, "header": [HOSTILE, HOSTILE], "rows": [[HOSTILE, HOSTILE]]}
     values = {"tiles": [], "figures": [], "tables": [table], "environment": [(HOSTILE, HOSTILE)]}
     values |= {"refused": [(HOSTILE, HOSTILE, HOSTILE)]}
@@ -52,13 +52,13 @@ def test_what_is_inserted_never_becomes_markup_or_template() -> None:
     assert "{{ title }}" in page
 
 
-def test_a_value_that_a_template_needs_and_does_not_get_is_an_error() -> None:
+def test_missing_template_value_is_an_error() -> None:
     with pytest.raises(jinja2.UndefinedError, match="tiles"):
         render_page("skyherd.bench", "bench.html", title="bench")
 
 
-def test_no_python_code_holds_markup() -> None:
-    """No text of the package that is not a docstring has an HTML tag in it."""
+def test_python_code_holds_no_markup() -> None:
+    """No text of the package except docstrings has an HTML tag."""
     root = Path(skyherd.__file__).parent
     for file in root.rglob("*.py"):
         tree = ast.parse(file.read_text("utf-8"))
@@ -71,6 +71,6 @@ def test_no_python_code_holds_markup() -> None:
         assert not [text for text in texts if "</" in text or "<div" in text or "<t" in text], file
 
 
-def test_a_file_becomes_a_data_uri(tmp_path: Path) -> None:
+def test_file_becomes_data_uri(tmp_path: Path) -> None:
     (tmp_path / "a.png").write_bytes(b"\x00\x01")
     assert data_uri(tmp_path / "a.png", "image/png") == "data:image/png;base64,AAE="

@@ -85,7 +85,7 @@ class Outline(HTMLParser):
         return [attributes for name, attributes in self.tags if name == tag]
 
 
-def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path, on_page: tuple[Panel, ...]) -> None:
+def test_page_is_self_contained(page: Path, on_page: tuple[Panel, ...]) -> None:
     text = page.read_text("utf-8")
     outline = Outline(text)
     assert text.startswith("<!DOCTYPE html>")
@@ -102,7 +102,7 @@ def test_the_page_is_whole_and_refers_to_nothing_outside(page: Path, on_page: tu
 
 
 @pytest.mark.smoke
-def test_every_value_of_the_summary_is_there(page: Path, history: History) -> None:
+def test_page_shows_every_summary_value(page: Path, history: History) -> None:
     text = page.read_text("utf-8")
     summary = summarize(history, 1.5)
     fields = {field.key: field for name, group in GROUPS.items() if name != TREE for field in group}
@@ -113,7 +113,7 @@ def test_every_value_of_the_summary_is_there(page: Path, history: History) -> No
         assert f"({x_m:.3f}, {y_m:.3f}) m" in text
 
 
-def test_whatever_is_inserted_is_escaped(history: History, tmp_path: Path) -> None:
+def test_inserted_text_is_escaped(history: History, tmp_path: Path) -> None:
     hostile = "<script>alert('$x')</script>&"
     summary = {**summarize(history, 1.5), "scenario": hostile, hostile: hostile}
     scenario = history.mission.scenario.model_copy(update={"name": hostile, "description": hostile})
@@ -132,7 +132,7 @@ def test_whatever_is_inserted_is_escaped(history: History, tmp_path: Path) -> No
         ({"converged": False, "complete": False, "simulated_s": 1.25}, "Cut short after 1.25 s of 3 s;"),
     ],
 )
-def test_the_status_says_how_it_went(
+def test_status_describes_outcome(
     changes: dict[str, Any], words: str, history: History, tmp_path: Path
 ) -> None:
     summary = {**summarize(history, None), **changes}
@@ -149,7 +149,7 @@ def test_the_status_says_how_it_went(
         (1.88668e-8, "1.887 × 10⁻⁸"), (-2.5e12, "−2.5 × 10¹²"), (999.96, "1000"),
     ],
 )  # fmt: skip
-def test_numbers(value: float, text: str) -> None:
+def test_number_text_format(value: float, text: str) -> None:
     assert number_text(value) == text
 
 
@@ -169,11 +169,11 @@ def test_numbers(value: float, text: str) -> None:
         (Field("x", "x", "", "", "ids"), [], "none"),
     ],
 )
-def test_values(field: Field, value: object, text: str) -> None:
+def test_value_text_format(field: Field, value: object, text: str) -> None:
     assert value_text(field, value) == text
 
 
-def test_a_page_that_cannot_be_written_is_named(history: History, tmp_path: Path) -> None:
+def test_unwritable_page_is_named(history: History, tmp_path: Path) -> None:
     (tmp_path / "report.html").mkdir()
     with pytest.raises(OutputError, match=r"report\.html: cannot be written"):
         write_page(tmp_path, history, summarize(history, None), [], VERSIONS, "")
@@ -229,7 +229,7 @@ COLORS = """place => {
 }"""
 
 
-def test_everything_fits_the_window(shown: Any, assert_nothing_overflows: Callable[[Any], None]) -> None:
+def test_page_fits_window(shown: Any, assert_nothing_overflows: Callable[[Any], None]) -> None:
     assert_nothing_overflows(shown)
     shown.evaluate("document.querySelectorAll('details').forEach(e => { e.open = true })")
     assert_nothing_overflows(shown)
@@ -243,7 +243,7 @@ def test_every_image_is_decoded(shown: Any, on_page: tuple[Panel, ...]) -> None:
     assert min(widths) > 0
 
 
-def test_the_video_plays_to_its_end(shown: Any) -> None:
+def test_video_plays_to_end(shown: Any) -> None:
     shown.evaluate("(v => { v.playbackRate = 16; return v.play() })(document.querySelector('video'))")
     shown.wait_for_function("document.querySelector('video').ended", timeout=10_000)
     state = shown.evaluate(
@@ -253,7 +253,7 @@ def test_the_video_plays_to_its_end(shown: Any) -> None:
     assert state == {"error": None, "duration": pytest.approx(2.0, abs=0.05), "videoWidth": 160}
 
 
-def test_a_figure_opens_in_full_width(shown: Any) -> None:
+def test_figure_opens_in_full_width(shown: Any) -> None:
     card = shown.locator("#cost")
     before = card.bounding_box()["width"]
     card.locator("summary").click()
@@ -264,8 +264,8 @@ def test_a_figure_opens_in_full_width(shown: Any) -> None:
     assert card.bounding_box()["width"] == before
 
 
-def test_text_stands_out_from_its_ground(shown: Any) -> None:
-    """Contrast by WCAG 2: at least 4.5 to 1 for all text styles of the page."""
+def test_text_contrast_meets_wcag(shown: Any) -> None:
+    """WCAG 2: contrast of at least 4.5 to 1 for all text styles of the page."""
     places = ["body", ".lead", ".status", ".tile b", ".tile span", "figcaption p", "td + td", "footer"]
     for text, ground in (shown.evaluate(COLORS, place) for place in places):
         light, dark = sorted((luminance(text), luminance(ground)), reverse=True)

@@ -78,10 +78,10 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 @pytest.mark.slow
-def test_worker_and_client_killed_in_mid_study_and_resumed_give_the_undisturbed_table(
+def test_killed_and_resumed_study_gives_same_table(
     write_study: Any, tmp_path: Path, undisturbed: bytes
 ) -> None:
-    """The table to the byte: a run that was made twice or in another order shows nowhere."""
+    """Byte-exact: repeated runs and their order have no effect."""
     path, out = write_study(SLOW_ENOUGH), tmp_path / "out"
     killing = "os.kill(os.getpid(), signal.SIGKILL)"
     process = start(path, out, "--jobs", "2", part_1="kill_worker()", part_3=killing)
@@ -120,7 +120,7 @@ def loopback(tmp_path: Path) -> Iterator[tuple[str, subprocess.Popen[bytes]]]:
 
 
 @pytest.mark.slow
-def test_a_second_process_as_scheduler_serves_the_same_study(
+def test_external_scheduler_serves_study(
     write_study: Any, tmp_path: Path, undisturbed: bytes, loopback: Any
 ) -> None:
     address, _ = loopback
@@ -128,7 +128,7 @@ def test_a_second_process_as_scheduler_serves_the_same_study(
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_goes_is_told_in_one_line_and_what_was_made_is_kept(
+def test_lost_scheduler_is_reported_and_outcomes_kept(
     write_study: Any, tmp_path: Path, loopback: Any
 ) -> None:
     address, scheduler = loopback
@@ -144,10 +144,10 @@ def test_a_scheduler_that_goes_is_told_in_one_line_and_what_was_made_is_kept(
 
 
 @pytest.mark.slow
-def test_a_run_that_kills_its_workers_is_recorded_and_the_others_are_made(
+def test_run_that_kills_workers_is_recorded(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A run's key stands in for the run: Python that the worker carries out."""
+    """A run's key stands for the run: Python code that the worker executes."""
     from skyherd.study.cluster import run_missions
 
     monkeypatch.setattr("skyherd.study.cluster.measure", eval)
@@ -161,7 +161,7 @@ def test_a_run_that_kills_its_workers_is_recorded_and_the_others_are_made(
     assert outcomes == dict.fromkeys(range(6))
 
 
-def test_nobody_else_gets_into_the_local_cluster() -> None:
+def test_local_cluster_rejects_foreign_connections() -> None:
     """Without the run's certificate neither plain text nor TLS gets an answer; the run itself does."""
     with open_client(jobs=1) as client:
         assert client.submit(sum, [1, 2]).result() == 3
@@ -178,7 +178,7 @@ def test_nobody_else_gets_into_the_local_cluster() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_leaves_a_whole_folder(write_study: Any, tmp_path: Path, number: int) -> None:
+def test_interrupt_leaves_intact_folder(write_study: Any, tmp_path: Path, number: int) -> None:
     path, out = write_study(SLOW_ENOUGH.replace("6.0", "20.0")), tmp_path / "out"
     process = start(path, out, "--jobs", "2", part_1=f"os.kill(os.getpid(), {int(number)})")
     _, err = process.communicate(timeout=600)

@@ -45,9 +45,10 @@ def small_text() -> str:
     return head + SWEEPS + "\n[quick]\nset = { duration_s = 1.0 }\n"
 
 
-def test_a_goal_is_off_by_what_the_camera_does_to_it(scenario_tree: Any, reference_fit: Any) -> None:
-    """Oblong pixels, exact projection, looking straight down: the template fitted to A x, mapped back by A⁻¹.
-    Rectified, what is left is what the map errs by: a hundredth of that."""
+def test_goal_error_matches_camera_distortion(scenario_tree: Any, reference_fit: Any) -> None:
+    """Non-square pixels, exact projection, vertical view: the template fitted to A x, mapped back by A⁻¹.
+    Rectified, the residual is the map's error: a hundredth of that.
+    """
     tree = scenario_tree("triangle") | {"duration_s": 1.0, "perception": "ideal"}
     tree["units"][0]["camera"] |= {"aspect": 1.2}
     tree["units"][0]["flight"] = {"kind": "hover"}
@@ -72,7 +73,7 @@ def test_a_goal_is_off_by_what_the_camera_does_to_it(scenario_tree: Any, referen
     assert off[1] < predicted / 100
 
 
-def test_an_ideal_cameras_goals_are_exact() -> None:
+def test_ideal_camera_has_exact_goals() -> None:
     mission = load_mission("star", ["perception=ideal", "duration_s=0.5"])
     assert np.nanmax(make_history(mission, run_steps(mission)).goal_errors_m) < 1e-9
 
@@ -89,10 +90,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Path]:
     return plan, folder / "out"
 
 
-def test_a_prediction_is_what_a_camera_taken_as_ideal_does(made: tuple[Plan, Path]) -> None:
-    """Exact images, from the start on: as seen, goals are off as predicted at the first image and never much
-    more, and the shape ends within a tenth of its prediction, since the formation turns and grows a little on
-    its way. Within the class all is rounding; rectified, outside it, a twentieth of what was."""
+def test_prediction_matches_run_with_assumed_ideal_camera(made: tuple[Plan, Path]) -> None:
+    """Exact images from the start; the class and rectification are compared with prediction.
+
+    As seen, goal errors match the prediction at the first image and barely exceed it later. The final shape
+    error is within a tenth of its prediction, since the formation rotates and grows slightly on its way.
+    Within the class all errors are rounding. Rectified outside it, they are a twentieth.
+    """
     plan, folder = made
     sweeps = {sweep.name: sweep for sweep in make_sweeps(plan, read_table(folder))}
     assert {name: sweep.inside for name, sweep in sweeps.items()} == {
@@ -114,7 +118,7 @@ def test_a_prediction_is_what_a_camera_taken_as_ideal_does(made: tuple[Plan, Pat
     assert np.isnan(aspect.worst(RENDERED, rectified=True).shape), "not run"
 
 
-def test_the_page_is_one_file_with_a_figure_a_sweep(made: tuple[Plan, Path]) -> None:
+def test_page_is_one_file_with_figure_per_sweep(made: tuple[Plan, Path]) -> None:
     folder = made[1]
     page = (folder / "invariance.html").read_text("utf-8")
     assert page.count("<figure") == 3
@@ -124,7 +128,7 @@ def test_the_page_is_one_file_with_a_figure_a_sweep(made: tuple[Plan, Path]) -> 
 
 
 @pytest.mark.parametrize("width", [1280, 390])
-def test_the_page_fits_its_window(
+def test_page_fits_window(
     made: tuple[Plan, Path], browser: Any, assert_nothing_overflows: Any, width: int
 ) -> None:
     window = browser.new_page(viewport={"width": width, "height": 800})
@@ -133,14 +137,14 @@ def test_the_page_fits_its_window(
     window.close()
 
 
-def test_a_camera_that_sways_is_predicted_over_time() -> None:
+def test_swaying_camera_is_predicted_over_time() -> None:
     sway = "units.0.sway={ tilt_deg = 6.0 }"
     still, swaying = (load_mission("triangle", ["units.0.flight.kind=hover", *more]) for more in ([], [sway]))
     assert predict(still).goals < 1e-9
     assert predict(swaying).goals > 0.1
 
 
-def test_the_built_in_study_has_every_robot_in_view_and_markers_of_14_px() -> None:
+def test_built_in_study_sees_all_robots_at_14_px() -> None:
     plan = make_plan(load_study("invariance", quick=True))
     for run in plan.runs:
         if run.parameters["perception"] == IDEAL:
@@ -165,7 +169,7 @@ def test_the_built_in_study_has_every_robot_in_view_and_markers_of_14_px() -> No
         ("[0.8, 1.25] }", '[0.8], "units.0.height_m" = [9, 10] }', "has not one parameter in its grid"),
     ],
 )
-def test_studies_that_the_page_cannot_show_are_refused_before_they_run(
+def test_unsupported_studies_are_rejected_before_running(
     write_study: Any, old: str, new: str, words: str
 ) -> None:
     text = small_text()
@@ -176,7 +180,7 @@ def test_studies_that_the_page_cannot_show_are_refused_before_they_run(
     assert "\n" not in str(refused.value)
 
 
-def test_without_its_reference_there_is_no_page(made: tuple[Plan, Path]) -> None:
+def test_missing_reference_gives_no_page(made: tuple[Plan, Path]) -> None:
     plan, table = made[0], read_table(made[1])
     broken = pa.array(["broke"] * table.num_rows)
     with pytest.raises(InputError, match="run of the reference failed"):

@@ -86,8 +86,8 @@ def some_methods(write_study: Any):
     return study, make_methods(study, table)
 
 
-def test_times_count_from_when_robots_may_move_and_of_runs_that_formed_the_shape(write_study: Any) -> None:
-    """Robots that are told the truth wait for no unit's tree."""
+def test_times_count_from_start_of_motion(write_study: Any) -> None:
+    """Robots with true positions do not wait for a tree of units."""
     _, (ours, theirs) = some_methods(write_study)
     assert (ours.name, ours.needs, list(ours.outcomes)) == ("ours", "images", ["anywhere", "near"])
     crowded = ours.outcomes["anywhere"]
@@ -99,7 +99,7 @@ def test_times_count_from_when_robots_may_move_and_of_runs_that_formed_the_shape
     np.testing.assert_array_equal(ours.outcomes["near"].times_s, [10.0])
 
 
-def test_who_stops_at_an_affine_image_formed_that_and_not_the_shape(write_study: Any) -> None:
+def test_affine_end_counts_as_affine_only(write_study: Any) -> None:
     study, methods = some_methods(write_study)
     runs = methods[1].outcomes["near"]
     np.testing.assert_array_equal(runs.affine, [True, False])
@@ -108,16 +108,16 @@ def test_who_stops_at_an_affine_image_formed_that_and_not_the_shape(write_study:
     said = dict(zip(HEAD, cells, strict=True))
     assert (said["formed"], said["affine image formed"]) == ("0 of 2", "1 of 2")
     assert (said["time to 1 % (s)"], said["time to 1 % of an affine image (s)"]) == ("–", "9")
-    assert (said["way over the shortest"], said["affine error at the end"]) == ("1.25", "0.001")
+    assert (said["path over the shortest"], said["affine error at the end"]) == ("1.25", "0.001")
 
 
-def test_at_a_glance_the_wait_for_units_counts(write_study: Any) -> None:
+def test_glance_includes_wait_for_units(write_study: Any) -> None:
     _, (ours, theirs) = some_methods(write_study)
     assert glance(ours, "anywhere") == "2 of 3, 12 s"  # 4 + 6 and 6 + 8
     assert (glance(theirs, "anywhere"), glance(theirs, "near")) == ("1 of 1, 10 s", "0 of 2")
 
 
-def test_a_grid_makes_a_method_of_each_of_its_values(write_study: Any) -> None:
+def test_grid_gives_method_per_value(write_study: Any) -> None:
     text = STUDY.replace('about = "images"', 'about = "images"\ngrid = { control.k = [0.6, 1.2] }')
     study = load_study(str(write_study(text)))
     table = pa.Table.from_pylist(
@@ -128,7 +128,7 @@ def test_a_grid_makes_a_method_of_each_of_its_values(write_study: Any) -> None:
     assert (first.outcomes["near"].paths_m, second.outcomes["near"].paths_m) == ([6.0], [12.0])
 
 
-def test_the_figure_has_a_number_or_a_dash_for_each_method_and_task(write_study: Any) -> None:
+def test_figure_has_number_or_dash_in_each_cell(write_study: Any) -> None:
     _, methods = some_methods(write_study)
     with drawing_style():
         figure = draw_methods(methods)
@@ -137,10 +137,10 @@ def test_the_figure_has_a_number_or_a_dash_for_each_method_and_task(write_study:
     assert boards["formed the shape (%)"] == ["67", "100", "100", "0"]
     assert boards["formed an affine image of it (%)"] == ["100", "100", "100", "50"]
     assert boards["time to 1 % of the shape (s)"] == ["7", "10", "10", "–"]
-    assert boards["way over the shortest"] == ["1.25"] * 4
+    assert boards["path over the shortest"] == ["1.25"] * 4
 
 
-def test_paths_are_of_the_first_start_and_say_what_became_of_it(write_study: Any) -> None:
+def test_paths_show_first_start_and_outcome(write_study: Any) -> None:
     _, methods = some_methods(write_study)
     bodies = {"radius_m": 0.4, "obstacles": [(0.5, 0.5, 0.3)]}
     with drawing_style():
@@ -154,9 +154,7 @@ def test_paths_are_of_the_first_start_and_say_what_became_of_it(write_study: Any
         np.testing.assert_array_equal(axes.lines[0].get_xydata(), [[0.0, 0.0], [0.0, 1.0]])
 
 
-def test_the_study_is_run_and_its_page_stands_alone(
-    write_study: Any, without_cluster: None, tmp_path: Path
-) -> None:
+def test_study_page_is_self_contained(write_study: Any, without_cluster: None, tmp_path: Path) -> None:
     table, _ = conduct_here(write_study(STUDY), tmp_path / "out")
     assert table["task"].to_pylist() == ["anywhere", "near"] * 2
     page = (tmp_path / "out" / "methods.html").read_text("utf-8")
@@ -165,8 +163,8 @@ def test_the_study_is_run_and_its_page_stands_alone(
     assert "ours" in (tmp_path / "out" / "table.md").read_text("utf-8")
 
 
-def test_the_same_starts_for_all_methods() -> None:
-    """Seeds are drawn once: run i of every method and task begins with the robots in the same places."""
+def test_all_methods_have_same_starts() -> None:
+    """Seeds are drawn once: run i of every method and task starts with the same robot positions."""
     plan = make_plan(load_study("methods", quick=True))
     starts: dict[str, list[Any]] = {}
     for run in plan.runs:
@@ -181,7 +179,7 @@ def test_the_same_starts_for_all_methods() -> None:
     np.testing.assert_array_equal(places["near"], places["loss"])
 
 
-def test_gains_are_chosen_on_starts_that_no_method_is_judged_on() -> None:
+def test_gains_are_tuned_on_separate_starts() -> None:
     gains = Path(__file__).parents[2] / "benchmarks" / "gains.toml"
     spans = [load_study(str(name)).spec.random.draw["seed"].whole for name in ("methods", gains)]
     assert spans[0][1] < spans[1][0]
@@ -202,14 +200,14 @@ def test_gains_are_chosen_on_starts_that_no_method_is_judged_on() -> None:
         (STUDY[STUDY.index("tasks_version") : STUDY.index("set =")], "", "tasks_version"),
     ],
 )
-def test_what_its_pages_need_is_asked_for_in_one_line(write_study: Any, old, new, complaint) -> None:
+def test_missing_fields_of_pages_are_reported(write_study: Any, old, new, complaint) -> None:
     assert old in STUDY
     with pytest.raises(InputError) as caught:
         load_study(str(write_study(STUDY.replace(old, new))))
     assert complaint in caught.value.lines[0]
 
 
-def test_ones_own_law_of_the_docs_is_compared_with_the_others(
+def test_documented_user_law_is_compared(
     write_study: Any, without_cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The law has ten lines at most; it forms the shape from the first start near it."""

@@ -10,7 +10,7 @@ from skyherd.study.figures import markdown_table, write_figure_pages
 from skyherd.study.spec import StudySpec, load_study
 
 
-def test_markdown_gives_median_and_range_over_seeds_and_draws() -> None:
+def test_markdown_gives_median_and_range_over_seeds() -> None:
     spec = StudySpec.model_validate(
         {
             "scenario": "star",
@@ -47,7 +47,9 @@ y_log = true
 """
 
 
-def test_figures_are_drawn_of_what_there_is(write_study: Any, without_cluster: None, tmp_path: Path) -> None:
+def test_figures_are_drawn_from_available_data(
+    write_study: Any, without_cluster: None, tmp_path: Path
+) -> None:
     path = write_study(SMALL + FIGURES)
     table, _ = conduct_here(path, tmp_path / "out")
     assert (tmp_path / "out" / "gain.png").read_bytes().startswith(b"\x89PNG")

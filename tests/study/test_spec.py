@@ -15,14 +15,14 @@ from skyherd.study.spec import StudySpec, load_study, study_names
 
 
 @pytest.mark.smoke
-def test_every_combination_of_a_grid_is_run_and_the_last_key_goes_fastest(write_study: Any) -> None:
+def test_grid_is_enumerated_with_last_key_fastest(write_study: Any) -> None:
     runs = make_plan(load_study(str(write_study()))).runs
     pairs = [(run.parameters["control.k"], run.parameters["units.0.yaw_deg"]) for run in runs]
     assert pairs == [(k, yaw) for k in (0.1, 0.3) for yaw in (0.0, 90.0, 180.0)]
     assert len({run.key for run in runs}) == 6
 
 
-def test_a_runs_mission_is_the_one_that_run_would_make(write_study: Any) -> None:
+def test_mission_matches_skyherd_run(write_study: Any) -> None:
     plan = make_plan(load_study(str(write_study())))
     settings = ["perception=ideal", "duration_s=0.4", "control.k=0.3", "units.0.yaw_deg=180"]
     by_hand = load_mission("triangle", settings)
@@ -30,13 +30,13 @@ def test_a_runs_mission_is_the_one_that_run_would_make(write_study: Any) -> None
     assert plan.runs[-1].key == mission_key(by_hand)
 
 
-def test_quick_puts_its_keys_over_the_study(write_study: Any) -> None:
+def test_quick_overrides_study_keys(write_study: Any) -> None:
     quick = load_study(str(write_study()), quick=True)
     assert quick.spec.grid == {"control.k": [0.1], "units.0.yaw_deg": [0, 90, 180]}
     assert len(make_plan(quick).runs) == 3
 
 
-def test_keys_in_quotes_and_keys_as_tables_mean_the_same() -> None:
+def test_quoted_and_nested_keys_are_equal() -> None:
     nested = {
         "grid": {"sensor": {"noise": [1.0]}},
         "random": {"runs": 2, "draw": {"marker": {"side_m": [1, 2]}}},
@@ -46,7 +46,7 @@ def test_keys_in_quotes_and_keys_as_tables_mean_the_same() -> None:
     assert StudySpec.model_validate(about | nested) == StudySpec.model_validate(about | quoted)
 
 
-def test_a_star_is_every_item_of_a_list(write_study: Any) -> None:
+def test_star_matches_every_list_item(write_study: Any) -> None:
     text = 'scenario = "star"\nkeep = ["scale"]\n[grid]\n"units.*.height_m" = [20, 25]\n'
     plan = make_plan(load_study(str(write_study(text))))
     heights = [[unit.height_m for unit in plan.mission(run).scenario.units] for run in plan.runs]
@@ -54,7 +54,7 @@ def test_a_star_is_every_item_of_a_list(write_study: Any) -> None:
     assert [run.parameters["units.*.height_m"] for run in plan.runs] == [20.0, 25.0]
 
 
-def test_a_sweep_goes_over_the_top_and_is_crossed_with_its_grid(write_study: Any) -> None:
+def test_sweep_overrides_top_and_crosses_grid(write_study: Any) -> None:
     text = """
     scenario = "triangle"
     keep = ["scale"]
@@ -75,8 +75,8 @@ def test_a_sweep_goes_over_the_top_and_is_crossed_with_its_grid(write_study: Any
     assert found == [*yaw, ("gain", 1, 0.3, 0.0), ("gain", 2, 0.3, 0.0)]
 
 
-def test_draws_follow_from_seed_number_and_key_alone() -> None:
-    """More runs, more keys or another order change none of the values: what was run need not be run again."""
+def test_draws_depend_only_on_seed_number_and_key() -> None:
+    """More runs, more keys or another order change no value: completed runs need not be repeated."""
     some = RandomModel.model_validate({"runs": 2, "seed": 7, "draw": {"a": [0, 1], "b": {"log": [1, 100]}}})
     more = RandomModel.model_validate(
         {"runs": 9, "seed": 7, "draw": {"c": {"whole": [1, 6]}, "b": {"log": [1, 100]}, "a": [0, 1]}}
@@ -88,8 +88,8 @@ def test_draws_follow_from_seed_number_and_key_alone() -> None:
     assert draw_settings(some, 0) != draw_settings(some.model_copy(update={"seed": 8}), 0)
 
 
-def test_draws_are_distributed_as_the_file_says() -> None:
-    """Means of N draws within 5 of their standard deviations: range / sqrt(12 N), or 1 / sqrt(4 N) of two."""
+def test_draws_follow_distribution() -> None:
+    """Means of N draws within 5 standard deviations: range / sqrt(12 N), or 1 / sqrt(4 N) of two."""
     draw = {"u": [2, 4], "l": {"log": [1, 100]}, "w": {"whole": [1, 6]}, "c": {"choice": ["x", "y"]}}
     model = RandomModel.model_validate({"runs": 1, "draw": draw})
     n = 2000
@@ -103,7 +103,7 @@ def test_draws_are_distributed_as_the_file_says() -> None:
     assert abs(np.mean([row["c"] == "x" for row in rows]) - 0.5) < 5 / np.sqrt(4 * n)
 
 
-def test_the_key_is_of_what_a_run_follows_from(scenario_tree: Any, tmp_path: Path) -> None:
+def test_key_covers_inputs_of_run(scenario_tree: Any, tmp_path: Path) -> None:
     def key(**changes: Any) -> str:
         return mission_key(make_mission(scenario_tree("triangle") | changes, folder=tmp_path))
 
@@ -115,9 +115,7 @@ def test_the_key_is_of_what_a_run_follows_from(scenario_tree: Any, tmp_path: Pat
     assert mission_key(make_mission(reordered)) == base
 
 
-def test_the_key_is_of_what_pictures_show_and_not_of_where_they_lie(
-    scenario_tree: Any, tmp_path: Path
-) -> None:
+def test_key_covers_picture_content_not_path(scenario_tree: Any, tmp_path: Path) -> None:
     def key(name: str, grey: int) -> str:
         Image.new("L", (64, 64), grey).save(tmp_path / name)
         ground = {"kind": "image", "image": name}
@@ -126,14 +124,14 @@ def test_the_key_is_of_what_pictures_show_and_not_of_where_they_lie(
     assert key("a.png", 90) == key("b.png", 90) != key("c.png", 91)
 
 
-def test_the_version_is_in_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_key_covers_version(monkeypatch: pytest.MonkeyPatch) -> None:
     mission = load_mission("triangle")
     before = mission_key(mission)
     monkeypatch.setattr("skyherd.study.plan.__version__", "0.0.0")
     assert mission_key(mission) != before
 
 
-def test_the_example_in_the_docs_is_good(write_study: Any) -> None:
+def test_documented_example_is_valid(write_study: Any) -> None:
     page = Path(__file__).parents[2] / "docs" / "studies.md"
     example = page.read_text("utf-8").split("```toml\n")[1].split("```")[0]
     plan = make_plan(load_study(str(write_study(example)), quick=True))
@@ -151,19 +149,19 @@ def test_the_projects_own_studies_are_not_built_in() -> None:
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_built_in_studies_are_good_and_have_a_quick_form(name: str) -> None:
-    """Each run of the quick form is checked; of the full one they are counted."""
+def test_built_in_studies_are_valid_with_quick_form(name: str) -> None:
+    """Each run of the quick form is checked; those of the full one are counted."""
     quick, full = make_plan(load_study(name, quick=True)), load_study(name)
     assert 0 < len(quick.runs) < sum(len(list(sweep_settings(sweep))) for sweep in full.spec.all_sweeps)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", STUDIES)
-def test_each_run_of_a_built_in_study_is_good(name: str) -> None:
+def test_built_in_study_runs_are_valid(name: str) -> None:
     assert make_plan(load_study(name)).runs
 
 
-def test_a_grid_with_more_runs_than_can_be_counted_through_is_refused(write_study):
+def test_too_large_grid_is_rejected_at_once(write_study):
     """Twenty keys of three values each: three thousand million runs, in twenty lines."""
     keys = ", ".join(f'"units.0.key{number}" = [1, 2, 3]' for number in range(20))
     text = f'scenario = "triangle"\nkeep = ["shape_error"]\ngrid = {{ {keys} }}\n'

@@ -21,7 +21,7 @@ from skyherd.study.table import good_rows
 
 
 @pytest.mark.smoke
-def test_a_run_is_measured_as_its_recording_would_be() -> None:
+def test_measure_matches_recorded_run() -> None:
     mission = load_mission("triangle", ["perception=ideal", "duration_s=1.0"])
     history = make_history(mission, run_steps(mission))
     outcome = measure("k", mission, CURVES)
@@ -31,7 +31,7 @@ def test_a_run_is_measured_as_its_recording_would_be() -> None:
     np.testing.assert_array_equal(outcome["history.positions_m"], history.positions_m)
 
 
-def test_images_are_let_go_as_a_run_goes_on() -> None:
+def test_images_are_released_during_run() -> None:
     mission = load_mission("triangle", ["duration_s=0.3"])
     step = next(run_steps(mission))
     assert step.frames[0].sight.image is not None
@@ -42,9 +42,7 @@ def test_images_are_let_go_as_a_run_goes_on() -> None:
 # What is kept
 
 
-def test_the_table_has_a_row_a_run_in_the_studys_order(
-    write_study: Any, without_cluster: None, tmp_path: Path
-) -> None:
+def test_table_has_row_per_run_in_order(write_study: Any, without_cluster: None, tmp_path: Path) -> None:
     table, report = conduct_here(write_study(), tmp_path / "out")
     assert report.made == 6
     assert table.column_names == [
@@ -64,9 +62,7 @@ def test_the_table_has_a_row_a_run_in_the_studys_order(
     assert abs(errors[0, 0] - errors[1, 0]) > 1e-3
 
 
-def test_a_changed_study_reruns_only_what_changed(
-    write_study: Any, without_cluster: None, tmp_path: Path
-) -> None:
+def test_changed_study_reruns_only_changes(write_study: Any, without_cluster: None, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first, _ = conduct_here(write_study(), out)
     again, report = conduct_here(write_study(), out)
@@ -80,9 +76,7 @@ def test_a_changed_study_reruns_only_what_changed(
     assert report.made == 0
 
 
-def test_arrays_over_time_are_kept_on_request_and_made_if_they_are_not_there(
-    write_study: Any, without_cluster: None, tmp_path: Path
-) -> None:
+def test_curves_are_kept_on_request(write_study: Any, without_cluster: None, tmp_path: Path) -> None:
     out = tmp_path / "out"
     conduct_here(write_study(), out)
     asking = SMALL.replace('"converged"', '"history.times_s", "history.positions_m"')
@@ -94,13 +88,13 @@ def test_arrays_over_time_are_kept_on_request_and_made_if_they_are_not_there(
     assert conduct_here(write_study(), out)[1].made == 0
 
 
-def test_runs_that_are_alike_are_made_once(write_study: Any, without_cluster: None, tmp_path: Path) -> None:
+def test_equal_runs_are_made_once(write_study: Any, without_cluster: None, tmp_path: Path) -> None:
     table, report = conduct_here(write_study(SMALL.replace("[0.1, 0.3]", "[0.1, 0.1]")), tmp_path / "out")
     assert report.made == 3
     assert table.slice(0, 3).equals(table.slice(3, 3))
 
 
-def test_parts_become_one_and_none_is_lost(tmp_path: Path) -> None:
+def test_compact_merges_parts_without_loss(tmp_path: Path) -> None:
     with open_store(tmp_path / "out", "{}") as store:
         store.append([{"key": "a", "error": None, "x": 1.0}, {"key": "b", "error": "broke"}])
         store.append([{"key": "b", "error": None, "x": None, "history.y": np.eye(2)}])
@@ -113,7 +107,7 @@ def test_parts_become_one_and_none_is_lost(tmp_path: Path) -> None:
         assert len(list((tmp_path / "out" / PARTS).iterdir())) == 1
 
 
-def test_a_part_that_was_never_whole_does_not_count(tmp_path: Path) -> None:
+def test_incomplete_part_is_ignored(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with open_store(out, "{}") as store:
         store.append([{"key": "a", "error": None}])
@@ -126,7 +120,7 @@ def test_a_part_that_was_never_whole_does_not_count(tmp_path: Path) -> None:
         assert store.keys() == {"a"}
 
 
-def test_a_damaged_part_is_named(tmp_path: Path) -> None:
+def test_damaged_part_is_named(tmp_path: Path) -> None:
     with open_store(tmp_path / "out", "{}") as store:
         store.append([{"key": "a", "error": None}])
         part = next((tmp_path / "out" / PARTS).iterdir())
@@ -135,7 +129,7 @@ def test_a_damaged_part_is_named(tmp_path: Path) -> None:
             store.read()
 
 
-def test_a_folder_serves_one_study_at_a_time_and_nothing_else(tmp_path: Path) -> None:
+def test_folder_serves_one_study_at_a_time(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with (
         open_store(out, "{}"),
@@ -155,7 +149,7 @@ def test_a_folder_serves_one_study_at_a_time_and_nothing_else(tmp_path: Path) ->
     assert [entry.name for entry in (tmp_path / "letters").iterdir()] == ["love.txt"]
 
 
-def test_a_failing_run_is_recorded_and_the_study_goes_on(
+def test_failing_run_is_recorded_and_study_continues(
     write_study: Any, without_cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def run(key: str, mission: Any, curves: Any) -> dict[str, Any]:
@@ -206,7 +200,7 @@ def _folder(part: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [_no_columns, _keys_of_numbers, _no_key, _no_parquet, _empty, _folder])
-def test_a_part_that_no_store_wrote_is_refused_in_one_line(tmp_path: Path, damage: Any) -> None:
+def test_foreign_part_is_rejected(tmp_path: Path, damage: Any) -> None:
     with open_store(tmp_path / "out", "{}") as store:
         store.append([{"key": "a", "error": None}])
         damage(next((tmp_path / "out" / PARTS).iterdir()))
@@ -217,7 +211,7 @@ def test_a_part_that_no_store_wrote_is_refused_in_one_line(tmp_path: Path, damag
     assert "\n" not in str(refused.value) and len(str(refused.value)) < 500
 
 
-def test_parts_that_do_not_go_together_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_incompatible_parts_are_rejected(tmp_path: Path) -> None:
     with open_store(tmp_path / "out", "{}") as store:
         store.append([{"key": "a", "error": None, "x": 1.0}])
         store.append([{"key": "b", "error": None, "x": "text"}])
@@ -225,7 +219,7 @@ def test_parts_that_do_not_go_together_are_refused_in_one_line(tmp_path: Path) -
             store.read()
 
 
-def test_other_files_among_the_parts_are_left_alone(tmp_path: Path) -> None:
+def test_foreign_files_among_parts_are_kept(tmp_path: Path) -> None:
     with open_store(tmp_path / "out", "{}") as store:
         store.append([{"key": "a", "error": None}])
         (tmp_path / "out" / PARTS / "1-mine.parquet").write_text("mine")

@@ -34,7 +34,7 @@ from skyherd.datasets import scenario_names
         ("0.4", "", ["malformed TOML"]),
     ],
 )
-def test_wrong_studies_are_refused_in_one_line(
+def test_wrong_studies_are_rejected_in_one_line(
     old: str, new: str, words: list[str], write_study: Any, capsys: Any, tmp_path: Path
 ) -> None:
     path = write_study(SMALL.replace(old, new, 1))
@@ -55,7 +55,7 @@ def test_wrong_studies_are_refused_in_one_line(
         (["noise", "--scheduler", "nowhere"], "not an address"),
     ],
 )
-def test_wrong_arguments_are_refused_in_one_line(
+def test_wrong_arguments_are_rejected_in_one_line(
     arguments: list[str], words: str, capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -66,7 +66,7 @@ def test_wrong_arguments_are_refused_in_one_line(
 
 @pytest.mark.parametrize("options", [(), ("--dry-run",)])
 @pytest.mark.parametrize("name", ["thesis.txt", "table.parquet"])
-def test_a_folder_of_something_else_is_refused_dry_or_not(
+def test_foreign_folder_is_rejected_dry_or_not(
     write_study: Any, capsys: Any, tmp_path: Path, options: tuple[str, ...], name: str
 ) -> None:
     (tmp_path / "out").mkdir()
@@ -78,7 +78,7 @@ def test_a_folder_of_something_else_is_refused_dry_or_not(
     )
 
 
-def test_a_dry_run_lists_the_runs_and_leaves_nothing(write_study: Any, capsys: Any, tmp_path: Path) -> None:
+def test_dry_run_lists_runs_and_leaves_nothing(write_study: Any, capsys: Any, tmp_path: Path) -> None:
     code, said, _ = call(capsys, "study", write_study(), "--dry-run", "--out", tmp_path / "out")
     assert code == 0
     assert said.count("to do  control.k=") == 6
@@ -92,7 +92,7 @@ def test_built_in_studies_are_listed_and_shown(capsys: Any) -> None:
     assert "keep" in json.loads(call(capsys, "study", "--schema")[1])["properties"]
 
 
-def test_without_the_extra_one_line_says_how_to_get_it(tmp_path: Path) -> None:
+def test_missing_extra_is_reported_in_one_line(tmp_path: Path) -> None:
     code = "import sys; sys.modules['distributed'] = None; from skyherd.cli import main; main()"
     command = [sys.executable, "-c", code, "study", "noise"]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -44,7 +44,7 @@ def side_by_side(mission: Mission, step: Step, first: int, second: int) -> Step:
     return replace(step, positions_m=positions)
 
 
-def test_sizes_are_the_missions(run) -> None:
+def test_sizes_match_mission(run) -> None:
     mission, steps = run
     sizes = BodySizes.of(mission)
     assert (sizes.radius, sizes.safety, sizes.obstacles) == (1.0, 1.3, {40: 1.5})
@@ -55,7 +55,7 @@ def test_sizes_are_the_missions(run) -> None:
     assert overlapping_ids(mission, on_it) == {2, 40}
 
 
-def test_only_overlaps_are_warned_of(run) -> None:
+def test_only_overlaps_have_warning(run) -> None:
     """In the ground view around both, within their radius and the rim's width; nowhere without."""
     mission, steps = run
     panel = np.full((640, 640, 3), 255, np.uint8)
@@ -71,7 +71,7 @@ def test_only_overlaps_are_warned_of(run) -> None:
     assert distances.max() < radius_px + 6
 
 
-def test_an_obstacle_has_its_size_on_the_ground(run) -> None:
+def test_obstacle_has_true_size_on_ground(run) -> None:
     """Its dark rim lies at the radius, to the two pixels of its width."""
     mission, steps = run
     panel = np.full((640, 640, 3), 255, np.uint8)
@@ -87,7 +87,7 @@ def test_an_obstacle_has_its_size_on_the_ground(run) -> None:
     assert np.median(darkness) < 110
 
 
-def test_cameras_warn_too_and_do_not_count_obstacles_as_robots(run) -> None:
+def test_camera_warns_without_counting_obstacles(run) -> None:
     mission, steps = run
     frame, titles = steps[0].frames[0], []
     cell = np.full((640, 640, 3), 255, np.uint8)
@@ -106,8 +106,8 @@ def test_cameras_warn_too_and_do_not_count_obstacles_as_robots(run) -> None:
     assert np.linalg.norm(warned - center, axis=1).max() < max(side_px, 7) + 12
 
 
-def test_a_new_place_is_shown_for_a_while(run) -> None:
-    """Two robots exchange: their places are filled in the shape's colour, as long as stated."""
+def test_exchanged_role_is_shown_for_a_while(run) -> None:
+    """Two robots exchange roles: their points are filled in the shape's colour for the stated time."""
     mission, steps = run
     panel = np.full((640, 640, 3), 255, np.uint8)
     view = GroundPanel(mission, panel)
@@ -123,7 +123,7 @@ def test_a_new_place_is_shown_for_a_while(run) -> None:
     assert at_once > late + 2 * 60, "two discs of more than 60 pixels"
 
 
-def test_a_composed_picture_tells_the_least_gap(run) -> None:
+def test_header_shows_least_gap(run) -> None:
     mission, steps = run
     composer = Composer(mission)
     assert not pixels_of(composer.compose(steps[0])[:650, 700:], WARNING).size
@@ -134,7 +134,7 @@ def test_a_composed_picture_tells_the_least_gap(run) -> None:
 
 @pytest.mark.parametrize("tree", [False, True])
 @pytest.mark.parametrize("units", range(1, 17))
-def test_there_is_room_for_the_longer_key(units: int, tree: bool) -> None:
+def test_longer_legend_fits(units: int, tree: bool) -> None:
     layout = make_layout((1600, 1000), [(800, 800)] * units, tree=tree, bodies=True)
     assert legend_height_px(layout.key.width, tree=tree, bodies=True) <= layout.key.height
     covered = np.zeros((1000, 1600), dtype=int)
@@ -144,7 +144,7 @@ def test_there_is_room_for_the_longer_key(units: int, tree: bool) -> None:
     assert min(box.width for box in layout.cameras) >= 64
 
 
-def test_the_figure_has_obstacle_and_bodies(run) -> None:
+def test_figure_has_obstacle_and_bodies(run) -> None:
     mission, steps = run
     figure = draw_paths(make_history(mission, steps))
     axes = figure.axes[0]

@@ -47,7 +47,7 @@ def write_video(
 
 
 @pytest.mark.smoke
-def test_every_frame_comes_back_with_its_colour(tmp_path: Path) -> None:
+def test_sink_frames_keep_their_colour(tmp_path: Path) -> None:
     path = tmp_path / "video.mp4"
     write_video(path, [solid(color) for color in COLORS for _ in range(2)])
     frames = list(read_frames(path))
@@ -61,7 +61,7 @@ def test_every_frame_comes_back_with_its_colour(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rate", "exact"), [(Fraction(30000, 1001), "30000/1001"), (12.5, "25/2"), (10, "10")]
 )
-def test_fractional_rates_are_kept_exactly(tmp_path: Path, rate: Fraction | float, exact: str) -> None:
+def test_sink_keeps_fractional_rates(tmp_path: Path, rate: Fraction | float, exact: str) -> None:
     write_video(tmp_path / "video.mp4", [solid((9, 9, 9))] * 12, rate)
     with av.open(str(tmp_path / "video.mp4")) as container:
         stream = container.streams.video[0]
@@ -69,13 +69,13 @@ def test_fractional_rates_are_kept_exactly(tmp_path: Path, rate: Fraction | floa
         assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
 
 
-def test_the_index_comes_before_the_pictures(tmp_path: Path) -> None:
+def test_sink_writes_index_first(tmp_path: Path) -> None:
     write_video(tmp_path / "video.mp4", [solid(color) for color in COLORS])
     data = (tmp_path / "video.mp4").read_bytes()
     assert 0 < data.index(b"moov") < data.index(b"mdat")
 
 
-def test_a_body_that_raises_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_sink_leaves_nothing_if_body_raises(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt), VideoSink(tmp_path / "video.mp4", SIZE_PX, 10) as sink:
         sink.write(solid((1, 2, 3)))
         assert list(tmp_path.iterdir()) == [sink.part]
@@ -83,7 +83,7 @@ def test_a_body_that_raises_leaves_nothing_behind(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_failed_run_keeps_the_former_video(tmp_path: Path) -> None:
+def test_failed_run_keeps_earlier_video(tmp_path: Path) -> None:
     path = tmp_path / "video.mp4"
     path.write_bytes(b"former")
     with pytest.raises(ValueError, match="no"), VideoSink(path, SIZE_PX, 10):
@@ -91,7 +91,7 @@ def test_a_failed_run_keeps_the_former_video(tmp_path: Path) -> None:
     assert path.read_bytes() == b"former"
 
 
-def test_a_file_that_lost_frames_is_refused(tmp_path: Path) -> None:
+def test_sink_rejects_file_with_lost_frames(tmp_path: Path) -> None:
     sink = VideoSink(tmp_path / "video.mp4", SIZE_PX, 10)
     sink.write(solid((1, 2, 3)))
     sink.write(solid((1, 2, 3)))
@@ -101,7 +101,7 @@ def test_a_file_that_lost_frames_is_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_video_without_frames_is_refused(tmp_path: Path) -> None:
+def test_sink_rejects_video_without_frames(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="no frames were written"):
         write_video(tmp_path / "video.mp4", [])
     assert not list(tmp_path.iterdir())
@@ -118,16 +118,16 @@ def test_a_video_without_frames_is_refused(tmp_path: Path) -> None:
     ],
     ids=["narrow", "transposed", "grey", "alpha", "float"],
 )
-def test_wrong_frames_are_refused(tmp_path: Path, frame: np.ndarray) -> None:
+def test_sink_rejects_wrong_frames(tmp_path: Path, frame: np.ndarray) -> None:
     with pytest.raises(OutputError, match=r"frame 0 is .*, expected \(48, 64, 3\) uint8"):
         write_video(tmp_path / "video.mp4", [frame])
     assert not list(tmp_path.iterdir())
 
 
-def test_nothing_is_written_after_the_end(tmp_path: Path) -> None:
+def test_closed_sink_rejects_frames(tmp_path: Path) -> None:
     with VideoSink(tmp_path / "video.mp4", SIZE_PX, 10) as sink:
         sink.write(solid((1, 2, 3)))
-    with pytest.raises(OutputError, match="already closed"):
+    with pytest.raises(OutputError, match="is closed"):
         sink.write(solid((1, 2, 3)))
     sink.close()
     assert count_frames(sink.path) == 1
@@ -145,7 +145,7 @@ def test_nothing_is_written_after_the_end(tmp_path: Path) -> None:
         ("n" * 300, SIZE_PX, 10, "cannot be written"),
     ],
 )
-def test_bad_targets_are_refused_at_once_in_one_line(
+def test_sink_rejects_bad_target_at_once(
     tmp_path: Path, target: str, size_px: tuple[int, int], rate_hz: float, complaint: str
 ) -> None:
     with pytest.raises(OutputError, match=complaint) as caught:
@@ -154,7 +154,7 @@ def test_bad_targets_are_refused_at_once_in_one_line(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_is_no_video_is_said_so(tmp_path: Path) -> None:
+def test_non_video_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "video.mp4").write_text("hello")
     with pytest.raises(OutputError, match="cannot be read as a video"):
         list(read_frames(tmp_path / "video.mp4"))
@@ -177,7 +177,7 @@ def similarity_by_least_squares(template: np.ndarray, current: np.ndarray) -> np
         *(pytest.param(name, "rendered", marks=pytest.mark.slow) for name in ("star", "grid")),
     ],
 )
-def test_arrows_point_where_the_similarity_puts_the_robots(name: str, perception: str) -> None:
+def test_goal_arrows_match_best_similarity(name: str, perception: str) -> None:
     mission, steps = steps_of(name, perception, 4)
     for unit, frame in steps[-1].frames.items():
         robots = frame.sight.detections.select(frame.decision.report.controlled_ids)
@@ -189,8 +189,8 @@ def test_arrows_point_where_the_similarity_puts_the_robots(name: str, perception
 
 
 @pytest.mark.parametrize("size_px", [(640, 400), (1000, 620), (333, 257)])
-def test_a_camera_s_picture_is_its_image_averaged_over_areas(size_px: tuple[int, int]) -> None:
-    """In one step or, where that is quicker, halved before; it is dark on the left, down and in a box."""
+def test_camera_picture_is_area_average(size_px: tuple[int, int]) -> None:
+    """In one step or, where faster, halved first; the image is dark on the left, below and in a box."""
     mission, steps = steps_of("triangle", "rendered", 1)
     (width, height), cell = size_px, np.full((160, 200, 3), 255, np.uint8)
     image = np.add.outer(np.linspace(120, 0, height), np.linspace(130, 0, width)).astype(np.uint8)
@@ -203,7 +203,7 @@ def test_a_camera_s_picture_is_its_image_averaged_over_areas(size_px: tuple[int,
     assert np.abs(view._picture.astype(int) - expected[..., None]).mean() < 1.0
 
 
-def test_arrows_are_drawn_to_the_desired_points() -> None:
+def test_arrows_end_at_desired_points() -> None:
     mission, steps = steps_of("triangle", "ideal", 4)
     frame, cell = steps[0].frames[0], np.full((640, 640, 3), 255, np.uint8)
     view = CameraPanel(0, cell, (800, 800), mission.scenario.selection.radius)
@@ -221,7 +221,7 @@ def test_arrows_are_drawn_to_the_desired_points() -> None:
         pytest.param("grid", "rendered", marks=pytest.mark.slow),
     ],
 )
-def test_composing_is_deterministic_and_moves(name: str, perception: str) -> None:
+def test_composing_is_deterministic_and_changes_with_steps(name: str, perception: str) -> None:
     mission, steps = steps_of(name, perception, 4)
     films = [
         [composer.compose(step).copy() for step in steps]
@@ -234,7 +234,7 @@ def test_composing_is_deterministic_and_moves(name: str, perception: str) -> Non
     assert (films[0][0] != films[0][-1]).any()
 
 
-def test_a_picture_is_the_composers_own() -> None:
+def test_composed_picture_is_read_only() -> None:
     mission, steps = steps_of("triangle", "ideal", 4)
     composer = Composer(mission, (800, 500))
     assert composer.compose(steps[0]) is composer.compose(steps[1])
@@ -242,7 +242,7 @@ def test_a_picture_is_the_composers_own() -> None:
         composer.compose(steps[2])[0, 0] = 0
 
 
-def test_a_unit_without_a_frame_keeps_its_last_image() -> None:
+def test_unit_without_frame_keeps_last_image() -> None:
     mission, steps = steps_of("star", "ideal", 4)
     composer, box = Composer(mission), make_layout((1600, 1000), [(800, 800)] * 3).cameras[1]
     before = box.of(composer.compose(steps[0])).copy()
@@ -254,7 +254,7 @@ def test_a_unit_without_a_frame_keeps_its_last_image() -> None:
 
 @pytest.mark.parametrize("units", range(1, 17))
 @pytest.mark.parametrize("image_px", [(800, 800), (1280, 720), (600, 1000)])
-def test_nothing_overlaps(units: int, image_px: tuple[int, int]) -> None:
+def test_layout_has_no_overlap(units: int, image_px: tuple[int, int]) -> None:
     layout = make_layout((1600, 1000), [image_px] * units)
     covered = np.zeros((1000, 1600), dtype=int)
     boxes = [*layout.cameras, layout.key, layout.ground, *layout.plots]
@@ -276,7 +276,7 @@ def test_ticks_are_round_and_inside(low: float, high: float) -> None:
     assert np.isclose(mantissa, [1, 2, 5]).any()
 
 
-def test_ranges_widen_only_when_they_must() -> None:
+def test_ranges_widen_only_if_needed() -> None:
     log = LogRange.around(np.array([300.0, np.nan]))
     assert (log.low, log.high) == (-1, 3)
     assert log.widened(np.array([0.2, np.nan, 0.0])) is log

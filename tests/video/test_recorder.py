@@ -32,9 +32,9 @@ def film(steps, path: Path, *, beside: bool):
     return path
 
 
-def test_beside_the_loop_the_same_frames_are_encoded(steps, tmp_path, monkeypatch):
-    """To the last bit. What the encoder makes of them differs now and then in a few bytes, in a fork of a
-    process whose memory was used before: in 6 of 25 films on a busy machine, of frames that were the same.
+def test_parallel_process_encodes_same_frames(steps, tmp_path, monkeypatch):
+    """Frames are bit-exact. The encoded files sometimes differ in a few bytes in a fork of a used process:
+    in 6 of 25 videos on a busy machine, of equal frames.
     """
     write = VideoSink.write
 
@@ -52,13 +52,13 @@ def test_beside_the_loop_the_same_frames_are_encoded(steps, tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize("beside", [False, True])
-def test_a_place_that_cannot_be_written_to_is_refused_at_once(steps, tmp_path, beside):
+def test_unwritable_target_is_rejected_at_once(steps, tmp_path, beside):
     with pytest.raises(OutputError, match="no folder"):
         VideoRecorder(steps[0], tmp_path / "none" / "video.mp4", beside=beside)
 
 
 @pytest.mark.parametrize("beside", [False, True])
-def test_an_error_while_frames_are_made_leaves_nothing(steps, tmp_path, beside, monkeypatch):
+def test_error_in_frame_leaves_nothing(steps, tmp_path, beside, monkeypatch):
     def fail(self, step):
         raise OutputError("the disk is full")
 
@@ -68,7 +68,7 @@ def test_an_error_while_frames_are_made_leaves_nothing(steps, tmp_path, beside, 
     assert not list(tmp_path.iterdir())
 
 
-def test_after_an_interrupt_nothing_is_left(steps, tmp_path):
+def test_interrupt_leaves_nothing(steps, tmp_path):
     (tmp_path / "video.mp4").write_bytes(b"an older one")
     with (
         pytest.raises(KeyboardInterrupt),
@@ -80,9 +80,9 @@ def test_after_an_interrupt_nothing_is_left(steps, tmp_path):
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"an older one"]
 
 
-def test_if_its_process_is_killed_that_is_told_and_nothing_is_left(steps, tmp_path):
+def test_killed_process_is_reported_and_leaves_nothing(steps, tmp_path):
     with (
-        pytest.raises(OutputError, match=r"video\.mp4: the process that made it has ended"),
+        pytest.raises(OutputError, match=r"video\.mp4: the process that made it ended"),
         VideoRecorder(steps[0], tmp_path / "video.mp4", beside=True) as writer,
     ):
         writer.write(steps[1][0])
@@ -92,7 +92,7 @@ def test_if_its_process_is_killed_that_is_told_and_nothing_is_left(steps, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
-def test_frames_that_are_not_shown_are_not_sent(steps, tmp_path, monkeypatch):
+def test_unused_frames_are_not_sent(steps, tmp_path, monkeypatch):
     sent = []
     monkeypatch.setattr(recorder._FilmBeside, "add", lambda self, step: sent.append(step.time_s))
     with pytest.raises(OutputError, match="no frames"):

@@ -42,14 +42,14 @@ def word(*edges: tuple[int, int, tuple[int, int]], tree_id=0, asks_id=NO_ID, hei
 
 
 @pytest.mark.parametrize(("turns", "pair", "holder"), [((4, 5), (3, 4), 2), ((6, 5), (1, 2), 1)])
-def test_of_two_words_on_an_edge_the_later_turn_counts(turns, pair, holder) -> None:
-    """The lower unit holds the even turns; a turn that was handed over is the other's."""
+def test_later_turn_of_edge_wins(turns, pair, holder) -> None:
+    """The lower unit holds even turns; a turn that was handed over is the other's."""
     state = tree_snapshot({1: word((2, turns[0], (1, 2))), 2: word((1, turns[1], (3, 4)))})
     link = state.links[1, 2]
     assert (link.pair, link.holder, link.is_mutual) == (pair, holder, True)
 
 
-def test_an_edge_that_one_unit_names_is_not_mutual_and_has_no_pair_yet() -> None:
+def test_edge_named_by_one_unit_has_no_pair() -> None:
     state = tree_snapshot({0: word((1, 1, (NO_ID, NO_ID))), 1: word(tree_id=NO_ID, asks_id=0)}, dead=[2])
     assert not state.links[0, 1].is_mutual
     assert state.links[0, 1].pair == ()
@@ -57,8 +57,8 @@ def test_an_edge_that_one_unit_names_is_not_mutual_and_has_no_pair_yet() -> None
     assert state.asks == {1: 0}
 
 
-def test_the_snapshot_has_the_pairs_that_are_in_fact_shared(ideal_failure) -> None:
-    """At every step: the pair of each mutual edge is what the two sets have in common."""
+def test_snapshot_pairs_match_shared_robots(ideal_failure) -> None:
+    """At every step, the pair of each mutual edge is the intersection of the two sets."""
     mission, steps = ideal_failure
     watch, edges = TreeHistory(), 0
     for step in steps:
@@ -71,8 +71,8 @@ def test_the_snapshot_has_the_pairs_that_are_in_fact_shared(ideal_failure) -> No
     assert edges > 300
 
 
-def test_an_exchanged_pair_flashes_and_stops() -> None:
-    """Yellow is there in the moment of the change and gone FLASH_S later; the units' colours stay."""
+def test_exchanged_pair_flashes_temporarily() -> None:
+    """Yellow appears at the change and disappears FLASH_S later; the units' colours stay."""
     units, robots = np.array([[40.0, 100.0], [260.0, 100.0]]), np.array([[150.0, 50.0], [150.0, 150.0]])
     view, seen = TreeOverlay(np.arange(2)), []
     for time_s in (0.0, FLASH_S + 0.1):
@@ -84,7 +84,7 @@ def test_an_exchanged_pair_flashes_and_stops() -> None:
     assert min(seen[1][1:]) > 100
 
 
-def test_a_dead_unit_has_no_picture_until_it_returns(ideal_failure) -> None:
+def test_dead_unit_has_no_picture_until_return(ideal_failure) -> None:
     mission, steps = ideal_failure
     composer = Composer(mission)
     box = make_layout((1600, 1000), [(800, 800)] * 5, tree=True).cameras[0]
@@ -99,7 +99,7 @@ def test_a_dead_unit_has_no_picture_until_it_returns(ideal_failure) -> None:
 
 
 @pytest.mark.parametrize("units", range(1, 17))
-def test_the_trees_key_has_room(units: int) -> None:
+def test_tree_legend_fits(units: int) -> None:
     layout = make_layout((1600, 1000), [(480, 480)] * units, tree=True)
     assert legend_height_px(layout.key.width, tree=True) <= layout.key.height
 
@@ -112,7 +112,7 @@ def test_the_trees_key_has_room(units: int) -> None:
         (60, "the ground, metres", "1 of 1 units in the tree · missing: 60"),
     ],
 )
-def test_the_title_and_the_state_of_the_tree_do_not_cover_each_other(missing, title, state) -> None:
+def test_title_and_tree_state_do_not_overlap(missing, title, state) -> None:
     """In 440 px; ids that do not fit are counted."""
     tree = replace(tree_snapshot({0: word()}), missing_ids=frozenset(range(20, 20 + missing)))
     assert title_texts(tree, 440) == (title, state)

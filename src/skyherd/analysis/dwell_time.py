@@ -154,7 +154,7 @@ def _stretches(history: History) -> Iterator[_Stretch]:
         points, places = shape.points_of(history.ids).conj(), to_complex(history.positions_m[end])
         V_last = total_cost(points, places, history.controlled[begin])
         if min(history.V[begin], V_last, history.V[end]) <= 0:
-            continue  # partial shapes to the last digit: nothing falls, and no ratio is finite
+            continue  # V is constant within rounding, so that no ratio is finite.
         switches = switched[end] and not other[end] and counted[end] and has_kernel[begin] and has_kernel[end]
         yield _Stretch(begin, end, V_last, bool(switches), bool(has_kernel[begin]))
 

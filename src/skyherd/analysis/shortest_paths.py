@@ -88,7 +88,7 @@ def _assign(costs: np.ndarray, groups: list[IntArray]) -> IntArray:
     order: IntArray = np.arange(len(costs))
     for rows in groups:
         if rows.size > 1:
-            # Imported where it is needed: it takes 0.2 s, and most runs do without.
+            # Imported here: it takes 0.2 s, and most runs do not need it.
             from scipy.optimize import linear_sum_assignment
 
             order[rows] = rows[linear_sum_assignment(costs[np.ix_(rows, rows)])[1]]

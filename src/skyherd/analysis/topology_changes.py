@@ -53,7 +53,7 @@ def _of_robots(history: History, row: int) -> Iterator[str]:
 
 def _owners(units: BoolArray) -> str:
     names = [str(unit) for unit in np.flatnonzero(units)]
-    return f"unit {names[0]}" if len(names) == 1 else f"units {' + '.join(names)}" if names else "nobody"
+    return f"unit {names[0]}" if len(names) == 1 else f"units {' + '.join(names)}" if names else "no unit"
 
 
 def robot_names(ids: list[int]) -> str:

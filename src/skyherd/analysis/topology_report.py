@@ -95,7 +95,7 @@ def _breaches(sets: ControlSets, links: list[Edge], ids: IntArray) -> Iterator[B
     parts = _parts(sorted(sets), links)
     if len(parts) > 1:
         names = " | ".join(", ".join(str(unit) for unit in part) for part in parts)
-        yield Breach(1, f"units fall apart into {len(parts)} groups without two robots in common: {names}")
+        yield Breach(1, f"units are disconnected: {len(parts)} groups without two common robots: {names}")
     held = np.unique(np.concatenate([*sets.values(), np.zeros(0, dtype=np.int64)]))
     if (lost := np.setdiff1d(ids, held)).size:
         yield Breach(2, f"{robot_names(lost.tolist())}: controlled by no unit")
@@ -111,7 +111,7 @@ def _breaches(sets: ControlSets, links: list[Edge], ids: IntArray) -> Iterator[B
     if cycle := _on_cycles(links):
         yield Breach(5, f"units on a cycle: {', '.join(str(unit) for unit in cycle)}")
     elif len(parts) > 1:
-        yield Breach(5, "no tree, since the units fall apart (TC1)")
+        yield Breach(5, "no tree, since the units are disconnected (TC1)")
 
 
 def _parts(units: list[int], links: list[Edge]) -> list[list[int]]:
@@ -159,7 +159,7 @@ def predicted_time_s(
     longest_s = float(20 / (gain_ps * values[2]))
     while excess(longest_s) > 0:
         longest_s *= 2
-    from scipy.optimize import brentq  # imported where it is needed: it takes 0.2 s
+    from scipy.optimize import brentq  # Imported here: it takes 0.2 s.
 
     return float(brentq(excess, 0.0, longest_s))
 

@@ -19,7 +19,7 @@ from skyherd.version import __version__
 RECORD = ".skyherd.json"
 """Name of the record in a folder."""
 
-ABOUT = "What skyherd made in this folder. --force replaces these files and no others."
+ABOUT = "Files that skyherd made in this folder. --force replaces only these files."
 """Explanation inside the record."""
 
 
@@ -45,7 +45,7 @@ def read_entries(folder: Path) -> dict[str, Entry]:
     path = folder / RECORD
     if not os.path.lexists(path):
         return {}
-    allowed = "remove it: then nothing in the folder counts as skyherd's"
+    allowed = "remove it; all files in the folder then count as foreign"
     record = read_json(path, allowed)
     try:
         entries = {

@@ -181,7 +181,7 @@ def _grey_of_deep(data: bytes) -> Grey:
     """Read a file of 16 bits per colour, BGR or BGRA, as grey by OpenCV."""
     decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if decoded is None:
-        raise OSError("its 16-bit colours cannot be read")
+        raise OSError("16-bit colours cannot be read")
     levels = np.atleast_3d(decoded).astype(np.float32)
     colors = levels[..., :3]
     grey = colors @ np.array(LUMA[::-1], np.float32) if colors.shape[2] == 3 else colors[..., 0]

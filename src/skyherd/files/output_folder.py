@@ -24,7 +24,7 @@ from skyherd.files.folder_lock import FolderLock
 from skyherd.files.folder_record import RECORD, Entry, digest_of, read_entries, write_record, writer_of
 from skyherd.files.reading import is_regular
 
-LONGEST_NAME = 255
+MAX_NAME_BYTES = 255
 """Bytes of the longest name of a file. *Defined* by Linux, macOS and Windows alike."""
 
 
@@ -109,7 +109,7 @@ class OutputFolder:
             if isinstance(error, InputError | OutputError):
                 raise
             what = error.strerror or str(error)
-            allowed = f"make it a folder that can be written to{self._or_elsewhere}"
+            allowed = f"make the folder writable{self._or_elsewhere}"
             raise InputError(str(self.path), what, allowed) from None
         try:
             self.check_claims()
@@ -267,7 +267,7 @@ def check_name(path: Path) -> None:
     except UnicodeEncodeError:
         raise InputError(str(path), "its name is not UTF-8", "another --out") from None
     longest = max((len(part.encode()) for part in path.parts), default=0)
-    if "\0" in str(path) or longest > LONGEST_NAME:
+    if "\0" in str(path) or longest > MAX_NAME_BYTES:
         raise InputError(str(path), "no file can have this name", "another --out")
 
 

@@ -21,8 +21,8 @@ MAX_JSON_BYTES = 64 * MIB
 thousand images, has some 30 MiB."""
 
 MAX_JSON_LEVELS = 64
-"""Levels of lists and objects in a JSON file. *Chosen*: files of the package have fewer than ten, and what
-walks through a value calls itself once a level."""
+"""Maximum nesting of lists and objects in a JSON file. *Chosen*: files of the package have fewer than ten
+levels, and readers recurse once per level."""
 
 KINDS = (
     (stat.S_ISDIR, "is a folder"),
@@ -31,11 +31,11 @@ KINDS = (
     (stat.S_ISBLK, "is a device"),
     (stat.S_ISSOCK, "is a socket"),
 )
-"""What a path may be that is not a regular file, as complaints name it."""
+"""Names of non-regular files in error messages."""
 
 
 def open_regular(path: Path, allowed: str, max_bytes: int | None = None) -> BinaryIO:
-    """Open a regular file for reading; a pipe or a device is refused without waiting for it.
+    """Open a regular file for reading; reject a pipe or a device without waiting for it.
 
     Args:
         path: the file; a symbolic link is followed.
@@ -124,7 +124,7 @@ def parse_json(text: str) -> Any:
 
 
 def _children(node: Any) -> Iterable[Any]:
-    """Values within a value of JSON."""
+    """Return the values within a JSON value."""
     return node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
 
 

@@ -30,7 +30,7 @@ FEW = 4
 """Maximum number of such folders in an error message. *Chosen*: fits a line or two."""
 
 USUAL_RATE_HZ = Fraction(25)
-"""VideoFrame rate of a video that states none, Hz. *Chosen*: usual, and only times depend on it."""
+"""Frame rate of a video that states none, Hz. *Chosen*: usual, and only times depend on it."""
 
 VIDEO_SUFFIXES = frozenset(
     {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".mts", ".wmv"}
@@ -260,7 +260,7 @@ def _decoded(packet: Any, damage: _Damage) -> list[av.VideoFrame]:
 
 def _unreadable(path: Path, error: Exception | None) -> InputError:
     why = (
-        "no picture in it"
+        "it has no picture"
         if error is None
         else " ".join(str(getattr(error, "strerror", None) or error).split())
     )

@@ -101,7 +101,7 @@ class VideoSink:
         """
         width, height = self.size_px
         if not self._open:
-            raise OutputError(f"{self.path}: already closed; frames are written before")
+            raise OutputError(f"{self.path}: is closed; write frames before closing it")
         if frame.shape != (height, width, 3) or frame.dtype != np.uint8:
             raise OutputError(
                 f"{self.path}: frame {self.frames} is {frame.shape} {frame.dtype}, "

@@ -8,12 +8,11 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_whole
-from skyherd.files.images import read_grey
+from skyherd.files.images import Grey, read_grey
 from skyherd.files.output_folder import OutputFolder
 from skyherd.files.video_reader import find_files, is_video, open_clip, read_clip
 from skyherd.files.video_writer import VideoSink
@@ -57,8 +56,6 @@ AUTO = "auto"
 FEW = 3
 """Number of detections in a picture below which a hint is searched for. Chosen: pictures of robots usually
 show more."""
-
-Grey = npt.NDArray[np.uint8]
 
 
 class Inspector:

@@ -199,7 +199,7 @@ def _draw_card(cells: BoolArray, image_card: Array, light: _Light) -> _Card:
     along, down = (
         gather_with_derivatives(at, edges, sigma) for at, sigma in zip((x, y), sigmas, strict=True)
     )
-    # Above the ground's level: that which lies beyond the card then has no part in the derivatives.
+    # Relative to the ground's level, so that the area beyond the card does not enter the derivatives.
     levels = np.where(cells, light.white, light.black) - light.ground
     levels = np.pad(levels, 1, constant_values=light.white - light.ground)
     value, slope, curvature = (rows @ levels for rows in (down.value, down.slope, down.curvature))

@@ -56,7 +56,7 @@ def _draw_marker(
     side = layout.side_mm
     axes.add_patch(Rectangle((left, bottom), side, side, facecolor="black", edgecolor="none", linewidth=0))
     rows, columns = marker_cells(dictionary, marker_id).nonzero()
-    # All white cells are one shape: between neighbours no hairline shows.
+    # All white cells are one shape, so that no hairline appears between neighbours.
     squares = [
         Outline([(u, v), (u + cell, v), (u + cell, v + cell), (u, v + cell), (u, v)], closed=True)
         for u, v in zip(left + columns * cell, bottom + (n - 1 - rows) * cell, strict=True)

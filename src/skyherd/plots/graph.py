@@ -47,7 +47,7 @@ def graph_handles() -> list[Line2D]:
     robot: dict[str, Any] = {"ls": "", "marker": "o", "mfc": PAPER, "mec": unit_color(0), "mew": 2}
     return [
         Line2D([], [], label="unit", **unit),
-        Line2D([], [], color=INK, lw=3, label="edge: two robots or more shared"),
+        Line2D([], [], color=INK, lw=3, label="edge: two or more shared robots"),
         Line2D([], [], label="robot", ms=8, **robot),
     ]
 

@@ -69,21 +69,21 @@ PANELS: tuple[Panel[History], ...] = (
     Panel(
         "shape_error",
         "Shape error",
-        "RMS distance to the best-fitting copy of the shape, of any place, size and rotation, as a share "
+        "RMS distance to the best-fitting copy of the shape, at any position, size and rotation, as a share "
         "of the formation's RMS radius.",
         curves.draw_shape_error,
     ),
     Panel(
         "scales",
         "Scale of the formations",
-        "Size of the shape that each unit's robots come nearest to. All agree once the shape is formed.",
+        "Size of the shape that fits each unit's robots best. All agree once the shape is formed.",
         curves.draw_scales,
     ),
     Panel(
         "cost",
         "Cost function",
-        "V falls to zero as the shape forms. It is the sum of the units' shares, and may jump where the "
-        "topology changes.",
+        "The Lyapunov function V falls to zero as the shape forms. It is the sum of the units' shares, and "
+        "may jump where the topology changes.",
         curves.draw_cost,
     ),
     Panel(
@@ -95,33 +95,33 @@ PANELS: tuple[Panel[History], ...] = (
     Panel(
         "rotations",
         "Rotation of the formations",
-        "Orientation, counter-clockwise on the ground, of the shape that each unit's robots come nearest "
-        "to. All agree once the shape is formed.",
+        "Orientation, counter-clockwise on the ground, of the shape that fits each unit's robots "
+        "best. All agree once the shape is formed.",
         curves.draw_rotations,
     ),
     Panel(
         "heights",
         "Camera heights",
-        "Height of every camera above the ground, and the zoom where it changes. No unit knows its own.",
+        "Height of every camera above the ground, and varying zoom factors. Units do not know them.",
         curves.draw_heights,
     ),
     Panel(
         "image_traces",
         "Image traces",
-        "What each camera saw of the robots that its unit controlled, from the first image (squares) to "
-        "the last (circles). Inside the safety radius a unit takes a robot over; beyond the leaving "
-        "radius it may give it up.",
+        "Image paths of the robots that each unit controlled, from the first image (squares) to "
+        "the last (circles). Inside the safety radius a unit takes control of a robot; beyond the leaving "
+        "radius it may release it.",
         maps.draw_image_traces,
     ),
     Panel(
         "template",
         "Template image",
-        "The shape to form, as one image point for each robot. Its place, size and rotation do not matter.",
+        "Desired shape, one image point per robot. Its position, size and rotation do not matter.",
         maps.draw_template,
     ),
     Panel(
         "graph",
-        "Units and what they share",
+        "Units and shared robots",
         "The topology at the end, on the ground: thin lines from each unit to the robots that it controls, "
         "thick ones between units that share two or more; shared robots have a ring for each of their units.",
         draw_graph,
@@ -143,7 +143,7 @@ PANELS: tuple[Panel[History], ...] = (
         "Control topology",
         "The units that control each robot, by colour (an empty row: none), and when the paper's "
         "conditions TC1-TC5 hold; of a tree of units, when each belonged to it. TC1 and TC2 suffice for "
-        "convergence from nearby; all five, from anywhere.",
+        "local convergence; all five for global convergence.",
         draw_topology,
     ),
 )
@@ -184,7 +184,7 @@ def write_panels(
 
     with drawing_style():
         gone = OutputError(
-            f"{folder}: a process that drew figures has ended by itself; is there enough memory?"
+            f"{folder}: a process that drew figures ended unexpectedly; is there enough memory?"
         )
         files = shared(write, range(len(drawn)), jobs, gone)
     return [file for file in files if file is not None]
@@ -207,7 +207,7 @@ def save_figure(figure: Figure, folder: Path, name: str, title: str, caption: st
     """
     png, svg = folder / f"{name}.png", folder / f"{name}.svg"
     figure.set_dpi(DPI)
-    # `savefig` would draw twice, the first time for the layout alone, which is worked out as drawing begins.
+    # `savefig` would draw twice, first only for the layout, which is computed when drawing begins.
     write_whole(png, FigureCanvasAgg(figure).print_png)
     figure.set_layout_engine(None)
     write_whole(svg, lambda part: figure.savefig(part, format="svg", metadata={"Date": None}))

@@ -9,7 +9,7 @@ import orjson
 
 T = TypeVar("T")
 
-# By itself the encoder writes all attributes of a dataclass, those too that are no fields.
+# The encoder would write all attributes of a dataclass, including those that are not fields.
 OPTIONS = orjson.OPT_SERIALIZE_NUMPY | orjson.OPT_NON_STR_KEYS | orjson.OPT_PASSTHROUGH_DATACLASS
 """Options of orjson: NumPy arrays as lists, non-string keys as strings, dataclasses by `_plain`."""
 
@@ -34,7 +34,7 @@ def _plain(value: Any) -> Any:
         return value.tolist()
     if isinstance(value, Mapping):
         return dict(value)
-    raise TypeError(f"{type(value).__name__} has no place in a message")
+    raise TypeError(f"{type(value).__name__} cannot be stored in a message")
 
 
 def from_plain(kind: type[T], record: Mapping[str, Any], **made: Any) -> T:

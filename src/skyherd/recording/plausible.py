@@ -96,7 +96,7 @@ def check_map(ground_map: GroundMap) -> None:
     _require_floats(ground_map.unknowns, (UNKNOWNS,), "map: unknowns")
     _require_floats(ground_map.covariance, (UNKNOWNS, UNKNOWNS), "map: covariance")
     within = np.abs(ground_map.unknowns).max() < MAX_UNKNOWN
-    _require(within and np.hypot(*ground_map.unknowns[:2]) < 1, "map: unknowns beyond any camera's")
+    _require(within and np.hypot(*ground_map.unknowns[:2]) < 1, "map: parameters beyond any camera's")
 
 
 def check_places(detections: Detections) -> None:

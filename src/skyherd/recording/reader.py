@@ -102,7 +102,7 @@ def read_recording(path: Path) -> Recording:
             steps += _steps_of(path, _need(path, mission, found), messages, images=False)
         mission = _need(path, mission, found)
         if not steps:
-            raise InputError(str(path), f"{NOTHING_YET}{_told(found)}", "a run that took its first step")
+            raise InputError(str(path), f"{NOTHING_YET}{_flawed(found)}", "a run that took its first step")
         ended = found.ended or told_steps is not None
         flaws = found.flaws
         if not flaws and not ended:
@@ -150,21 +150,21 @@ def _opened(path: Path) -> Iterator[tuple[BinaryIO, Survey]]:
             if stream.read(len(MAGIC)) not in (b"", MAGIC):
                 raise InputError(str(path), "not a recording of skyherd", "a run.mcap of `skyherd run`")
             if any(flaw.kind != "cut short" for flaw in found.flaws):
-                what = f"nothing of it can be read ({describe_flaws(found.flaws)})"
+                what = f"it cannot be read ({describe_flaws(found.flaws)})"
                 raise InputError(str(path), what, "a recording of this version of skyherd")
-            raise InputError(str(path), f"{NOTHING_YET}{_told(found)}", "a run that took its first step")
+            raise InputError(str(path), f"{NOTHING_YET}{_flawed(found)}", "a run that took its first step")
         yield stream, found
 
 
-def _told(found: Survey) -> str:
-    """The flaws of a file behind what else is said of it."""
+def _flawed(found: Survey) -> str:
+    """Append the flaws of a file to a message."""
     return f" ({describe_flaws(found.flaws)})" if found.flaws else ""
 
 
 def _need(path: Path, mission: Mission | None, found: Survey) -> Mission:
     if mission is None:
-        what = f"its mission is not there, without which nothing can be read{_told(found)}"
-        raise InputError(str(path), what, "a recording whose first or second chunk is whole")
+        what = f"its mission is missing, so that nothing can be read{_flawed(found)}"
+        raise InputError(str(path), what, "a recording whose first or second chunk is intact")
     return mission
 
 

@@ -121,18 +121,18 @@ def survey(stream: BinaryIO) -> Survey:
         last_s = f"after {chunks[-1].last_s:.6g} s" if chunks else "at the beginning"
         flaws.append(Flaw("damaged", "the footer") if closed else Flaw("cut short", last_s))
     elif crc != footer.data_crc and not flaws:
-        flaws.append(Flaw("damaged", "bytes that hold no message"))
+        flaws.append(Flaw("damaged", "bytes without a message"))
     return Survey(tuple(chunks), tuple(flaws), footer is not None and footer.ended)
 
 
 def read_chunk(stream: BinaryIO, start: int) -> list[Message]:
-    """The messages of the chunk that begins at a byte of the file.
+    """Return the messages of the chunk that begins at a byte of the file.
 
-    A checksum of 0 means in MCAP that there is none. All chunks of ours have one, so that such a chunk is
+    In MCAP, a checksum of 0 means a missing one. All chunks of ours have one, so that such a chunk is
     refused: nothing tells whether it is as it was written.
 
     Raises:
-        MALFORMED: its checksum fails, or it is none of ours.
+        MALFORMED: its checksum fails, or skyherd did not write it.
     """
     stream.seek(start)
     head = stream.read(_CHUNK.size)
@@ -154,7 +154,7 @@ def read_chunk(stream: BinaryIO, start: int) -> list[Message]:
     messages = [r for r in breakup_chunk(chunk, validate_crc=True) if isinstance(r, Message)]
     numbers = [message.sequence for message in messages]
     if not messages or numbers != list(range(numbers[0], numbers[0] + len(numbers))):
-        raise ValueError("its messages are not numbered through")
+        raise ValueError("its messages are not numbered consecutively")
     return messages
 
 

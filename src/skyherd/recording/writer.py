@@ -1,34 +1,36 @@
-"""What records a run while it goes on: the interface of recorders, and the one that writes MCAP files.
+"""Recording of runs during the run: the interface of recorders, and the MCAP recorder.
 
-An MCAP file holds every message of a run as it passed. There is a topic for each vehicle and kind of message,
-as JSON with a schema, so that any MCAP viewer opens it. Everything else (figures, summary, page) is made from
-this file, never from the run itself.
+An MCAP file holds every message of a run in its original form. Each vehicle and kind of message has a topic,
+as JSON with a schema, so that any MCAP viewer opens it. All other outputs (figures, summary, page) are made
+from this file, never from the run itself.
 
-The file is written in chunks of whole steps as the run goes, at the latest every half second of simulated
-time (`skyherd.recording.mcap_log.FLUSH_S`): a run that is killed loses no more. The mission is written twice
-before the first step, in a chunk of its own each time, so that damage to one of them costs nothing. Messages
-are numbered through, chunks, data and footer have checksums, and the footer says how many messages there are;
-`skyherd.recording.survey` tells by them whether a file is whole.
+The file is written in chunks of whole steps, at least every half second of simulated time
+(`skyherd.recording.mcap_log.FLUSH_S`): a killed run loses no more. The mission is written twice before the
+first step, in separate chunks, so that damage to one of them costs nothing. Messages are numbered
+consecutively. Chunks, data and footer have checksums, and the footer has the number of messages.
+`skyherd.recording.survey` uses them to check the integrity of a file.
 
 Topics, J being the number of a unit:
 
-    /mission            first, and once more: the scenario, the template, the robots' start, the versions that
-                        ran it, and the topics in the order of their channels' numbers
-    /end                of a run that came to its end: how many steps there are
-    /unit/J/detections  what the unit's detector found in an image
-    /unit/J/goals       to the robots that it controls; missing while it has none
-    /unit/J/proximity   where robots keep apart: what else is near them; missing without bodies
-    /unit/J/report      to the other units
-    /unit/J/flight      to its own autopilot
-    /unit/J/map         its map from the image to the ground, of a unit that rectifies
-    /unit/J/truth       which markers were whole in the image, and which of them were detected
-    /unit/J/image       the image, on request
-    /robots/command     the velocities that the wheels were given
-    /world              where robots and units truly are
-    /metrics            judged from the truth, and last of a step
+```text
+/mission            first, and once more: the scenario, the template, the robots' start, the versions, and
+                    the topics in the order of their channel numbers
+/end                at a normal end of the run: the number of steps
+/unit/J/detections  detections in an image
+/unit/J/goals       to the robots that it controls; missing while it has none
+/unit/J/proximity   bodies near the robots, for avoidance; missing without bodies
+/unit/J/report      to the other units
+/unit/J/flight      to its own autopilot
+/unit/J/map         map from the image to the ground, of a unit that rectifies
+/unit/J/truth       markers that were whole in the image, and which of them were detected
+/unit/J/image       the image, on request
+/robots/command     wheel velocities
+/world              true positions of robots and units
+/metrics            ground-truth metrics, last of a step
+```
 
-The same scenario and seed give the same messages, to the byte. The wall time, which differs, therefore is
-metadata of the file and no message.
+The same scenario and seed give the same messages, to the byte. The wall time varies, and is therefore
+metadata of the file instead of a message.
 """
 
 from collections.abc import Mapping

@@ -88,7 +88,7 @@ def _status(summary: Mapping[str, object], planned_s: float) -> str:
     formed = "the shape was formed and held" if summary["converged"] else "the shape was not formed and held"
     flaws = str(summary.get("recording", ""))
     if flaws and not flaws.startswith("cut short"):
-        return f"The recording is not whole ({flaws}). In what can be read of it, {formed}."
+        return f"The recording is not intact ({flaws}). In its readable part, {formed}."
     if not summary["complete"]:
         lasted = value_text(Field("simulated_s", "", "s"), summary["simulated_s"])
         return f"Cut short after {lasted} of {number_text(planned_s)} s; until then, {formed}."

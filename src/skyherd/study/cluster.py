@@ -1,4 +1,4 @@
-"""Runs on many processes through Dask: those of this machine, or those of a cluster that exists already.
+"""Execution of runs in many processes by Dask: local ones, or those of an existing cluster.
 
 A worker makes one run at a time on one thread, without any file (`skyherd.study.measure`), and sends back its
 outcome. Local workers listen to this machine alone and have no dashboard. Whoever reaches a worker can let it

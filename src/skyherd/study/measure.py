@@ -36,7 +36,7 @@ def measure(key: str, mission: Mission, curves: Sequence[str]) -> Outcome:
         summary = summarize(history, perf_counter() - started_s)
     except SkyherdError as error:
         return failure(key, str(error))
-    except Exception as error:  # whatever it is, the other runs go on
+    except Exception as error:  # Any error: the other runs must continue.
         return failure(key, f"{type(error).__name__}: {error}")
     values = {name: summary.get(name) for name in SUMMARY_FIELDS}
     return {"key": key, "error": None, **values, **{CURVE + name: getattr(history, name) for name in curves}}
@@ -44,4 +44,4 @@ def measure(key: str, mission: Mission, curves: Sequence[str]) -> Outcome:
 
 def failure(key: str, error: str) -> Outcome:
     """Return the outcome of a failed run, with its error as one line."""
-    return {"key": key, "error": " ".join(error.split()) or "an error that says nothing"}
+    return {"key": key, "error": " ".join(error.split()) or "an error without a message"}

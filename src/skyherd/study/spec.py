@@ -61,7 +61,7 @@ class FigureModel(Model):
     x: str = Field(description="a parameter of the study")
     y: str = Field(description="a field that is kept")
     lines: str | None = Field(None, description="a parameter of the study, a line for each value")
-    sweep: str | None = Field(None, description="the sweep whose runs are shown; all if left out")
+    sweep: str | None = Field(None, description="the sweep whose runs are shown; by default all")
     x_label: str | None = Field(None, description="with the unit")
     y_label: str | None = Field(None, description="with the unit")
     lines_label: str | None = Field(None, description="with the unit")
@@ -227,7 +227,7 @@ def study_text(name: str) -> str:
 
 
 def load_study(name_or_file: str, *, quick: bool = False) -> Study:
-    """Read and check a built-in study or a TOML file, with its table `quick` merged over it if asked.
+    """Read and check a built-in study or a TOML file, optionally with its table `quick` merged.
 
     Raises:
         InputError: a line for each problem: the file, the key, the value, and what is allowed.
@@ -243,7 +243,7 @@ def load_study(name_or_file: str, *, quick: bool = False) -> Study:
 
 
 def _unknown_field(name: str, known: list[str]) -> InputError:
-    """The problem of a field that cannot be kept, with what it is called now or what is like it."""
+    """Return the problem of an unknown field, with its present or a similar name."""
     new = name.replace("least_", "min_").replace("most_", "max_")
     if new in known:
         return InputError("", f"no field {name!r}", f"renamed to {new}")

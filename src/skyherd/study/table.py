@@ -58,7 +58,7 @@ def read_table(folder: Path) -> pa.Table:
         return pq.read_table(folder / TABLE)
     except (pa.ArrowException, OSError):
         raise InputError(
-            str(folder / TABLE), "not there or damaged", "the folder of a finished study"
+            str(folder / TABLE), "missing or damaged", "the folder of a finished study"
         ) from None
 
 

@@ -77,7 +77,7 @@ ITEMS: tuple[tuple[Callable[[RgbImage, float, float], None], str], ...] = (
     (_goal, "to the desired point"),
     (_radius, "safety radius"),
     (_robot, "coloured by its units"),
-    (_shape, "its place in the shape"),
+    (_shape, "its point in the shape"),
     (_unit, "unit and its view"),
 )
 """Symbols of every video: the function that draws one around a point (u, v), and its meaning."""
@@ -103,9 +103,9 @@ def _dead(image: RgbImage, u: float, v: float) -> None:
 
 
 TREE_ITEMS: tuple[tuple[Callable[[RgbImage, float, float], None], str], ...] = (
-    (_edge, "edge by a pair; whose turn"),
+    (_edge, "edge: shared pair and turn"),
     (_exchange, "pair just exchanged"),
-    (_granted, "edge that one unit knows"),
+    (_granted, "edge known to one unit"),
     (_dead, "dead unit"),
 )
 """Additional symbols with a tree of units."""
@@ -130,7 +130,7 @@ def _exchanged(image: RgbImage, u: float, v: float) -> None:
 
 
 BODY_ITEMS: tuple[tuple[Callable[[RgbImage, float, float], None], str], ...] = (
-    (_safety, "body; what is kept clear"),
+    (_safety, "body and safety margin"),
     (_overlap, "bodies that overlap"),
     (_obstacle, "obstacle"),
     (_exchanged, "place just exchanged"),

@@ -80,7 +80,7 @@ class _FilmBeside(ExitStack):
 
     def __init__(self, mission: Mission, path: Path) -> None:
         super().__init__()
-        gone = OutputError(f"{path}: the process that made it has ended by itself; is there enough memory?")
+        gone = OutputError(f"{path}: the process that made it ended unexpectedly; is there enough memory?")
         self._part, self._unanswered = Path(), 0
         with ExitStack() as stack:
             stack.enter_context(one_thread())
@@ -133,7 +133,7 @@ class _Studio:
     def serve(self, request: Step | str) -> Path | None:
         """Begin the film and return the name of its temporary file; add a step to it; or end it."""
         if request == _BEGIN:
-            os.nice(NICENESS)  # the encoder's threads begin after this, and have it too
+            os.nice(NICENESS)  # The encoder's threads start later and inherit it.
             self._film = _Film(self._mission, self._path)
             return self._film.sink.part
         if isinstance(request, Step):

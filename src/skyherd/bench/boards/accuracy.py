@@ -24,9 +24,9 @@ from skyherd.geometry import Array, to_complex
 RAYLEIGH_MEDIAN = float(np.sqrt(2 * np.log(2)))
 """Median length of a vector of two independent standard normal variables. Derived."""
 
-FEWEST_COMMON = 20
-"""Fewest markers that two detectors must both have found for a floor. Chosen: a variance from fewer is off by
-more than a third."""
+MIN_COMMON = 20
+"""Minimum number of common markers of two detectors for a floor. Chosen: a variance from fewer has an error
+above a third."""
 
 QUANTITIES = ("center", "corner", "heading")
 """Quantities with an error: centre and corners in px, heading in degrees."""
@@ -158,7 +158,7 @@ def covariance(one: MarkerErrors, other: MarkerErrors, quantity: str) -> float |
     """Return the robust covariance, per axis, of two detectors' errors; None of too few common markers."""
     rows = {tuple(key): row for row, key in enumerate(other.keys.tolist())}
     pairs = [(k, rows[tuple(key)]) for k, key in enumerate(one.keys.tolist()) if tuple(key) in rows]
-    if len(pairs) < FEWEST_COMMON:
+    if len(pairs) < MIN_COMMON:
         return None
     mine, others = np.array(pairs).T
     a, b = one.values(quantity)[mine], other.values(quantity)[others]

@@ -22,8 +22,8 @@ PASSES = 12
 """Number of passes over all residuals. Chosen: the fits absorb a part of δ, so that a pass leaves a tenth to
 a third of it; after twelve, less than a thousandth is left."""
 
-FEWEST_IMAGES = 3
-"""Fewest images in which a marker must be seen for its δ to be learned; of fewer it stays 0. Chosen: with one
+MIN_IMAGES = 3
+"""Minimum number of images of a marker for which δ is estimated; with fewer it stays 0. Chosen: with one
 image left out, two remain."""
 
 
@@ -65,12 +65,12 @@ def learn_board_errors(fits: Sequence[Fitted], markers: int, images: int) -> Boa
     for _ in range(PASSES):
         sigmas = detector_sigmas(fits, delta)
         whole, pull, seen = _sums(fits, sigmas, delta, markers, images)
-        enough = (seen.sum(axis=0) >= FEWEST_IMAGES)[:, None, None]
+        enough = (seen.sum(axis=0) >= MIN_IMAGES)[:, None, None]
         delta = delta + np.where(enough, _solved(whole.sum(axis=0), pull.sum(axis=0)), 0.0)
     whole, pull, seen = _sums(fits, sigmas, delta, markers, images)
     without = delta - np.where(enough, _solved(whole.sum(axis=0) - whole, pull), 0.0)
     moved = np.where(enough, _solved(whole.sum(axis=0), pull), 0.0).reshape(images, markers, 8)
-    counts = np.maximum(seen.sum(axis=0), FEWEST_IMAGES)[:, None, None]
+    counts = np.maximum(seen.sum(axis=0), MIN_IMAGES)[:, None, None]
     variances = np.einsum("ikx,iky->kxy", moved, moved) * (counts / (counts - 1)) ** 2
     return BoardErrors(delta, without, variances)
 

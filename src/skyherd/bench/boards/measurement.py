@@ -132,7 +132,7 @@ def _run_set(
         noisy = np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
         if number == 0:
             for reader in readers.values():
-                reader.read(image)  # what is made once is no part of an image's time
+                reader.read(image)  # One-time setup does not count as time of an image.
         found = {name: reader.read(image) for name, reader in readers.items()}
         _count(run, found)
         run.noises.append(immerkaer_noise(image))

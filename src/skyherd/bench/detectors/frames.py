@@ -1,4 +1,4 @@
-"""Frames with their truth, rendered by `skyherd.render`: the images that every detector is given.
+"""Frames with ground truth, rendered by `skyherd.render`: the common images of all detectors.
 
 A different source (`FrameSource`) may yield `LabelledFrame`s for a cell, a dictionary and a seed instead.
 """
@@ -51,17 +51,17 @@ QUAD_SIDES = (0.4, 1.2)
 
 @dataclass(frozen=True)
 class LabelledFrame:
-    """One image and the truth about it.
+    """One image and its ground truth.
 
     Attributes:
         image: grey, (height, width).
         unit_id: the camera.
-        time_s: when it was taken.
+        time_s: time of the image.
         ids: (N,) markers in view.
         centers_px: (N, 2) images of their centres.
         headings_rad: (N,) directions of their forward axes there.
         sides_px: (N,) their sides.
-        whole: (N,) whether the marker and its card are inside the image, so that a detector should find it.
+        whole: (N,) True if marker and card are inside the image, so that a detector should find it.
         bounds: (N, 3, 3) Cramér–Rao bound of (u, v, heading).
         blur_px: standard deviation of the lens's blur.
     """

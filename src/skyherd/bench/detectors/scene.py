@@ -105,7 +105,7 @@ def make_view(cell: Cell, rng: np.random.Generator) -> tuple[Camera, CameraPose]
 
 @dataclass(frozen=True)
 class PlannedShot:
-    """What one image shows; markers have sides of 1 m.
+    """Scene of one image; markers have sides of 1 m.
 
     Attributes:
         unit_id: number of the camera.

@@ -19,9 +19,8 @@ from skyherd.jobs.progress import NO_PROGRESS, Progress
 WARM_UP = 3
 """Number of ignored first frames: caches fill, memory is allocated, and trackers find their markers."""
 
-FEWEST = 6
-"""Fewest frames that count, however slow a detector is. Chosen: the median of fewer depends on single
-frames."""
+MIN_FRAMES = 6
+"""Minimum number of timed frames of any detector. Chosen: the median of fewer depends on single frames."""
 
 TASK = "time per frame"
 """Name of this part of the benchmark in progress reports."""
@@ -93,7 +92,7 @@ def _measure(plan: Plan, cell: TimingCell, index: int, budget_s: float) -> list[
 
 def _spent(entrant: Entrant, budget_s: float) -> bool:
     taken = len(entrant.times_ms) - WARM_UP
-    return taken >= FEWEST and sum(entrant.times_ms) > 1e3 * budget_s
+    return taken >= MIN_FRAMES and sum(entrant.times_ms) > 1e3 * budget_s
 
 
 def _row(cell: TimingCell, entrant: Entrant, dictionary: str, entrants: dict[str, Entrant]) -> Row:

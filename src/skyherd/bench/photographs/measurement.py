@@ -99,7 +99,7 @@ def _measure_set(
     for images, (file, image) in enumerate(image_set.images(), start=1):
         if images == 1:
             for reader in readers.values():
-                reader.read(image)  # what is made once, such as templates, is no part of an image's time
+                reader.read(image)  # One-time setup, such as templates, does not count as time of an image.
         found = {name: reader.read(image) for name, reader in readers.items()}
         judged = judge(found, ids_repeat=image_set.model.ids_repeat)
         confirmed += len(judged.confirmed)

@@ -156,7 +156,7 @@ class Sweep:
 
 
 def make_sweeps(plan: Plan, table: pa.Table) -> list[Sweep]:
-    """Compare the runs of a study of cameras with its reference, and with what geometry predicts.
+    """Compare the runs of a study of cameras with its reference, and with geometric predictions.
 
     Args:
         plan: the study and its runs.

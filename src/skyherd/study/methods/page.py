@@ -34,28 +34,28 @@ HEAD = (
     "robots wait (s)",
     "time to 1 % (s)",
     "time to 1 % of an affine image (s)",
-    "way over the shortest",
+    "path over the shortest",
     "way (m)",
     "least gap (m)",
     "shape error at the end",
     "affine error at the end",
-    "messages a robot and second",
-    "numbers a robot and second",
+    "messages per robot and second",
+    "numbers per robot and second",
 )
 """Columns of the tables, in the order of `cells`."""
 
-OVERVIEW = "of the runs formed the shape, and the median time that they took, with the wait for units."
+OVERVIEW = "of the runs formed the shape, and their median time, including the wait for units."
 """Content of the first table's cells, after the number of runs."""
 
 CAPTION = (
-    "A row a method, a column a task. Times, ways and numbers are medians; times count from when robots may"
-    " move, and are those of runs that formed the shape. The shortest way is the least sum of straight lines"
-    " from the start into the shape, in any place, rotation, size and roles; a method that stops at an affine"
-    " image may need less."
+    "One row per method, one column per task. Times, paths and numbers are medians. Times count from when"
+    " robots may move, and are those of runs that formed the shape. The shortest path is the least sum of"
+    " straight lines from the start into the shape, at any position, rotation, size and roles. A method that"
+    " stops at an affine image may need less."
 )
 """Caption of the figure."""
 
-PATHS_CAPTION = "The first start. Dots: where robots stood; circles: their bodies at the end."
+PATHS_CAPTION = "The first start. Dots: initial positions; circles: bodies at the end."
 """Caption of the figures of paths."""
 
 UNKNOWN = "–"

@@ -34,8 +34,8 @@ BOARDS = (
     Board("formed an affine image of it (%)", lambda runs: share(runs.affine), "{:.0f}", GOOD),
     Board("collided (%)", lambda runs: share(runs.collided), "{:.0f}", BAD),
     Board("time to 1 % of the shape (s)", lambda runs: median(runs.times_s), "{:.3g}", BAD, log=True),
-    Board("way over the shortest", lambda runs: median(runs.detours), "{:.2f}", BAD, log=True),
-    Board("numbers a robot and second", lambda runs: median(runs.numbers_ps), "{:.0f}", BAD, log=True),
+    Board("path over the shortest", lambda runs: median(runs.detours), "{:.2f}", BAD, log=True),
+    Board("numbers per robot and second", lambda runs: median(runs.numbers_ps), "{:.0f}", BAD, log=True),
 )
 """Quantities of the figure; times, paths and numbers are medians over the runs that have one."""
 

@@ -61,6 +61,11 @@ def signals_as_requests() -> Iterator[EndRequest]:
 
     with _handling_signals(ask):
         yield request
+        if request.name:
+            # The process is about to end: another signal must not change its exit code any more.
+            for name in CODES:
+                if hasattr(signal, name) and signal.getsignal(getattr(signal, name)) is ask:
+                    signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
 class SignalReceived(KeyboardInterrupt):
@@ -89,7 +94,7 @@ def _handling_signals(handle: Callable[[int, FrameType | None], None]) -> Iterat
         yield
     finally:
         for number, handler in before.items():
-            if handler is not None:
+            if handler is not None and signal.getsignal(number) is handle:
                 signal.signal(number, handler)
 
 

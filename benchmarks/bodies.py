@@ -1,21 +1,22 @@
-"""Crowded starts with random roles: does anybody collide, does the shape come, and how long is the way?
+"""Measure collisions, convergence and path lengths of crowded starts with random roles.
 
-    export OPENBLAS_NUM_THREADS=1
-    python benchmarks/bodies.py --missions 1000 --jobs 2 --json crowded.jsonl
-    python benchmarks/bodies.py --network lossy --json lossy.jsonl          # 30 % lost, up to 0.5 s late
-    python benchmarks/bodies.py --kill --json killed.jsonl                  # one unit dies, for good
-    python benchmarks/bodies.py --without avoidance --json points.jsonl     # or roles, size, steering, search
-    python benchmarks/bodies.py --drive slip=0.05 delay_s=0.2 --json slipping.jsonl   # robots.drive
-    python benchmarks/bodies.py --start kind --json kind.jsonl              # starts that need no avoidance
-    python benchmarks/bodies.py --perception rendered --missions 20 --json rendered.jsonl
-    python benchmarks/bodies.py --compare points.jsonl crowded.jsonl        # times, second over first
-    python benchmarks/bodies.py --figure bodies.png crowded.jsonl points.jsonl
+```sh
+export OPENBLAS_NUM_THREADS=1
+python benchmarks/bodies.py --missions 1000 --jobs 2 --json crowded.jsonl
+python benchmarks/bodies.py --network lossy --json lossy.jsonl          # 30 % lost, up to 0.5 s late
+python benchmarks/bodies.py --kill --json killed.jsonl                  # one unit dies, for good
+python benchmarks/bodies.py --without avoidance --json points.jsonl     # or roles, size, steering, search
+python benchmarks/bodies.py --drive slip=0.05 delay_s=0.2 --json slipping.jsonl   # robots.drive
+python benchmarks/bodies.py --start kind --json kind.jsonl              # starts that need no avoidance
+python benchmarks/bodies.py --perception rendered --missions 20 --json rendered.jsonl
+python benchmarks/bodies.py --compare points.jsonl crowded.jsonl        # times, second over first
+python benchmarks/bodies.py --figure bodies.png crowded.jsonl points.jsonl
+```
 
-6 to 40 robots with bodies of two marker sides across, which cover 3 to 12 % of the ground they stand on,
-under 1 to 5 units. One row a mission, as it ends, as a line of JSON; a file that is there is gone on with.
-Times count from when the tree is ready: robots hold still before. `shortest_m` is the least total of
-straight lines from the start into the shape, over all assignments and similarities with the spacing that is
-asked for.
+Missions have 6 to 40 robots under 1 to 5 units. Bodies are two marker sides across and cover 3 to 12 % of
+their ground. Each mission that ends adds a line of JSON, and an existing file is resumed. Times count from
+the completion of the tree; robots stand still before. `shortest_m` is the minimum total length of straight
+paths into the shape, over all assignments and similarities with the requested spacing.
 """
 
 import argparse
@@ -53,11 +54,11 @@ OFF: dict[str, dict[str, Any]] = {
     "steering": {"avoidance": {"on": True, "detour": "none"}},
     "search": {"avoidance": {"on": True, "detour": "gyroscopic"}},
 }
-"""What each part is without, as scenario keys."""
+"""Scenario keys that switch each part off."""
 
 
 def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
-    """The scenario of one mission."""
+    """Return the scenario of one mission."""
     rng = np.random.default_rng([seed, 80])
     if options.start == "kind":
         tree = random_mission(seed, Crowd(int(rng.integers(1, 5)), int(rng.integers(6, 8))))
@@ -78,7 +79,7 @@ def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
 
 
 class Watch:
-    """Accounts for a mission, step by step, from truth."""
+    """Records a mission step by step, from ground truth."""
 
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
@@ -90,7 +91,7 @@ class Watch:
         self._touching: set[tuple[int, ...]] = set()
 
     def see(self, step: Step) -> None:
-        """Take in one step."""
+        """Record one step."""
         words = [frame.decision.report.tree for frame in step.frames.values()]
         if self.ready_s is None and any(word is None or word.ready for word in words):
             self.ready_s = step.time_s
@@ -109,7 +110,7 @@ class Watch:
             self.reached_s = step.time_s
 
     def done(self, step: Step) -> bool:
-        """Whether the shape has come, and stayed; and whoever was to die has died."""
+        """Return whether the shape was reached and held, and the planned death has happened."""
         dies_s = max(
             (unit.outages[0][0] for unit in self.mission.scenario.units if unit.outages), default=0.0
         )
@@ -117,7 +118,7 @@ class Watch:
 
 
 def run_mission(seed: int, options: argparse.Namespace) -> Row:
-    """One mission to its end; one row."""
+    """Run one mission to its end and return its row."""
     started = perf_counter()
     try:
         mission = make_mission(mission_tree(seed, options))
@@ -155,7 +156,7 @@ def run_mission(seed: int, options: argparse.Namespace) -> Row:
 
 
 def summarize(rows: list[Row]) -> dict[str, Any]:
-    """What all rows come to."""
+    """Return the summary of all rows."""
     good = [row for row in rows if "error" not in row]
     times = [row["time_to_1pct_s"] for row in good if row["converged"]]
     ratios = [row["path_m"] / row["shortest_m"] for row in good]
@@ -176,7 +177,7 @@ def summarize(rows: list[Row]) -> dict[str, Any]:
 
 
 def compare(first: list[Row], second: list[Row]) -> dict[str, Any]:
-    """Times of the second file over those of the first, by seed, where both converged."""
+    """Return times of the second file over those of the first, by seed, where both converged."""
     times = [
         {row["seed"]: row["time_to_1pct_s"] for row in rows if row.get("converged")}
         for rows in (first, second)
@@ -189,7 +190,7 @@ def compare(first: list[Row], second: list[Row]) -> dict[str, Any]:
 
 
 def draw(ours: list[Row], points: list[Row], path: Path) -> None:
-    """Least gaps, ways and times of crowded missions; gaps beside those of robots that are points."""
+    """Draw smallest gaps, path lengths and times of crowded missions, and the gaps of point robots."""
     with drawing_style():
         figure = new_figure(2.9, 9.6)
         gaps, ways, times = figure.subplots(1, 3)
@@ -230,7 +231,7 @@ def _setting(text: str) -> tuple[str, float]:
 
 
 def main() -> None:
-    """Run, print rows and a summary."""
+    """Run the missions, print their rows and a summary."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,9 +1,9 @@
-"""What roles, size and avoidance add to a control step and to the robots' law: ratios taken in one run.
+"""Measure the cost of roles, size and avoidance in a control step and in the robots' law, as ratios.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/body_cost.py
 
-One unit sees 50 robots, bodies close together. The step with all parts on is compared with the step without,
-both over the same images; so are the robots' laws, all 50 at once, after the same messages.
+One unit sees 50 robots with bodies close together. The step with all parts is compared with the step without
+them, on the same images. The laws of all 50 robots are compared after the same messages.
 """
 
 from time import perf_counter
@@ -21,7 +21,7 @@ ROBOTS, IMAGES, ROUNDS = 50, 40, 7
 
 
 def tree(parts: bool) -> dict:
-    """50 robots under one unit, 0.7 m apart, that see all."""
+    """Return 50 robots under one unit that sees all of them, 0.7 m apart."""
     base = crowded_mission(3, units=1)
     rng = np.random.default_rng(1)
     grid = np.array([(x, y) for x in range(10) for y in range(5)], dtype=float) * 0.7
@@ -38,7 +38,7 @@ def tree(parts: bool) -> dict:
 
 
 def times_ms(parts: bool) -> tuple[float, float]:
-    """Median times of a unit's step and of the team's command."""
+    """Return the median times of a unit's step and of the team's command, ms."""
     mission = make_mission(tree(parts))
     controller, world = make_controller(mission, 0), make_world(mission)
     team = make_team(mission, world)
@@ -60,7 +60,7 @@ def times_ms(parts: bool) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Take turns, so that a busy machine is as busy for both."""
+    """Alternate both variants, so that other load affects them equally."""
     rounds = np.array([[times_ms(parts) for parts in (False, True)] for _ in range(ROUNDS)])
     without, with_parts = np.median(rounds, axis=0)
     for name, before, after in zip(("unit's step", "robots' laws"), without, with_parts, strict=True):

@@ -2,8 +2,8 @@
 
     python benchmarks/correlated_noise.py
 
-For markers of several sides it prints the number of large boxes, the mean ratio before what the fit takes off
-is made good, and the standard deviation of the ratio times the root of the number of boxes.
+For markers of several sides it prints the number of large boxes and the mean ratio before the correction for
+the fit. It also prints the standard deviation of the ratio times the root of the number of boxes.
 """
 
 import numpy as np

@@ -1,12 +1,14 @@
-"""Measure what a detector finds, and its errors, by size of code, noise, blur and size, on rendered images.
+"""Measure a detector's recall and errors by size of code, noise, blur and marker size, on rendered images.
 
-    python benchmarks/detector_accuracy.py --quick                    # one noise, one blur, one code
-    python benchmarks/detector_accuracy.py --write                    # all, stored where the package reads it
-    python benchmarks/detector_accuracy.py --detector opencv --write
+```sh
+python benchmarks/detector_accuracy.py --quick                    # one noise, one blur, one code
+python benchmarks/detector_accuracy.py --write                    # all, stored where the package reads it
+python benchmarks/detector_accuracy.py --detector opencv --write
+```
 
-Markers at random places and headings, on textured ground, by cameras that are tilted by TILT_RAD. The tables
-are what noise, and which markers are missed, are drawn from where perception is `noisy`. Errors are of the
-markers that were found; where fewer than FEWEST were, those of the next larger size stand in the table.
+Markers have random places and headings on textured ground. Cameras are tilted by TILT_RAD. Perception
+`noisy` draws its errors and missed markers from these tables. Errors are of the found markers. With fewer
+than FEWEST of them, the table has the errors of the next larger size.
 """
 
 import argparse
@@ -35,7 +37,7 @@ TABLES = Path(__file__).parent.parent / "vision" / "detectors"
 
 @dataclass(frozen=True)
 class SizeResult:
-    """What was measured at one true side; errors over the markers found, of side and shape as shares."""
+    """Results at one true side: errors of the found markers; those of side and shape are relative."""
 
     recall: float
     position_std_px: float
@@ -97,10 +99,10 @@ def measure(
 
 
 def _shape_errors(measured: ComplexArray, true: ComplexArray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Turn (N,), rad, growth (N,) and squeeze `a + ib` (N,) that take true corners (N, 4) to measured ones.
+    """Return rotation (N,), rad, growth (N,) and anisotropy (N,) from true to measured corners (N, 4).
 
     With corners as complex numbers about their middle, `m = s t + q conj(t)` is fitted by least squares; the
-    turn is `arg s`, the growth `|s| - 1`, the squeeze `q`.
+    turn is `arg s`, the growth `|s| - 1`, the anisotropy `q`.
     """
     measured, true = (z - z.mean(axis=1, keepdims=True) for z in (measured, true))
     parts = np.stack([true, true.conj()], axis=-1)
@@ -109,7 +111,7 @@ def _shape_errors(measured: ComplexArray, true: ComplexArray) -> tuple[np.ndarra
 
 
 def _spread(pose: CameraPose, side_px: float, rng: np.random.Generator) -> np.ndarray:
-    """A jittered 4 by 4 grid of positions in view, in marker sides (one side is one metre)."""
+    """Return positions on a jittered 4 by 4 grid in view, in marker sides (one side is one metre)."""
     spacing = (IMAGE_PX / side_px - 2.5) / 4
     column, row = np.meshgrid(np.arange(4) - 1.5, np.arange(4) - 1.5)
     jitter = rng.uniform(-0.5, 0.5, (PER_FRAME, 2)) * max(spacing - 2.2, 0.0)
@@ -119,7 +121,7 @@ def _spread(pose: CameraPose, side_px: float, rng: np.random.Generator) -> np.nd
 
 
 def as_toml(grid: np.ndarray, detector: str, frames: int) -> str:
-    """The table as the package reads it, of a grid (codes, noises, blurs, sizes, columns)."""
+    """Return the table as the package reads it, of a grid (codes, noises, blurs, sizes, columns)."""
     lines = [
         f"# What the detector `{detector}` finds, and its errors (RMS over markers found), by",
         f"# `benchmarks/detector_accuracy.py --write`: {frames * PER_FRAME} markers each.",
@@ -142,7 +144,7 @@ def _row(values: np.ndarray) -> str:
 
 
 def fill(values: np.ndarray) -> np.ndarray:
-    """Values (sizes, columns) in which errors that are not known are those of the next larger size."""
+    """Return values (sizes, columns) with unknown errors replaced by those of the next larger size."""
     values = values.copy()
     for size in range(len(values) - 2, -1, -1):
         values[size] = np.where(np.isnan(values[size]), values[size + 1], values[size])

@@ -1,12 +1,12 @@
-"""The benchmark's grid and tilts on frames from the tests' analytic reference instead of our renderer.
+"""Run the benchmark's grid and tilts on frames from the tests' analytic reference instead of our renderer.
 
     python benchmarks/detectors_on_reference.py                     # about six minutes on two cores
     python benchmarks/detectors_on_reference.py --out runs/reference --detectors photometric,opencv
 
-The reference (`tests/helpers/reference.py`) computes the light at every pixel without `skyherd.render`: what
-a detector reaches on our frames it must reach on these. Where markers lie in the image, and the truth, come
-from the renderer's projection, which the tests hold against OpenCV's. The reference's levels are fixed, and
-it knows no motion, occlusion or uneven light.
+The reference (`tests/helpers/reference.py`) computes the light at every pixel without `skyherd.render`. A
+detector must reach the same accuracy on these frames. Marker positions and ground truth come from the
+renderer's projection, which the tests compare with OpenCV's. The reference has fixed levels and no motion,
+occlusion or uneven light.
 """
 
 import argparse
@@ -39,7 +39,7 @@ TILTS_DEG = (5.0, 15.0)
 
 
 def reference_frames(cell: Cell, dictionary: str, seed: int) -> Iterator[LabelledFrame]:
-    """Frames of a cell from the reference, over a smooth random ground."""
+    """Yield the frames of a cell from the reference, over a smooth random ground."""
     for unit in range(cell.cameras):
         layout, rng = (np.random.default_rng([seed, unit, use]) for use in range(2))
         ground: np.ndarray | None = None

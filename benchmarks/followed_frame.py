@@ -1,14 +1,14 @@
-"""A followed frame and a searched one beside OpenCV's time for it, and what of them no other code could save.
+"""Compare followed and searched frames with OpenCV's time, and bound what other code could save.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/followed_frame.py              # 16 markers of 30 px in 1280x960
     OPENBLAS_NUM_THREADS=1 python benchmarks/followed_frame.py --size 3840 2160
 
-All detectors get the same frames one after the other, on one thread, and are timed by the clock; told are
-medians over the frames. *Followed* is `tracking` in frames in which it searches nothing, *searched* is
-`photometric`. *Pixels* is the part of a followed frame that is compiled loops and matrix products over the
-pixels of markers, without anything around them; *looks* is the part of a searched one in which squares are
-looked for, mostly by OpenCV's functions, before anything is fitted. Both bound how fast the same measurements
-can be: OpenCV's time over them is the most that any amount of work on the rest would give.
+All detectors get the same frames one after the other on one thread. Times are medians of wall time over the
+frames. *Followed* is `tracking` in frames in which it searches nothing, *searched* is
+`photometric`. *Pixels* is the time of compiled loops and matrix products over the pixels of markers in a
+followed frame. *Looks* is the time of the search for squares in a searched frame, mostly in OpenCV's
+functions. Both bound the speed of the same measurements: OpenCV's time over them is the largest ratio that
+work on the rest can reach.
 """
 
 import argparse
@@ -41,7 +41,7 @@ STAGES: Stages = {
     "looks": [(look, "find_quads"), (look, "find_overlooked_quads")],
     "search": [(PhotometricDetector, "_search")],
 }
-"""What is timed by itself: the two parts, and the search, which a followed frame has not."""
+"""Stages that are timed separately: both parts, and the search, which a followed frame lacks."""
 
 
 def measure(size_px: tuple[int, int], markers: int, noise: float, frames: int) -> dict[str, float]:

@@ -1,11 +1,11 @@
-"""How often a detector that follows markers has to search whole images, while units climb and robots set off.
+"""Measure how often a following detector searches whole images while units climb and robots set off.
 
     python benchmarks/following.py                      # the first 20 s of three random missions
     python benchmarks/following.py --seeds 10008 --steps 300
 
-The first 10 s or so of a random mission are the hardest for a detector that follows: units climb and stop,
-and then all robots begin to turn at once. Told are the images, how many of them were searched by both looks
-(each unit's first one is), and the processor time of the detector, ms an image.
+The first 10 s of a random mission are the hardest for a following detector: units climb and stop, and then
+all robots begin to turn at once. The table has the number of images, the number that both searches scanned,
+and the detector's processor time an image, ms. Both searches always scan each unit's first image.
 """
 
 import argparse

@@ -1,20 +1,20 @@
-"""What images cost: time against megapixels, markers and cameras, and memory; ours beside other detectors.
+"""Measure time against megapixels, markers and cameras, and memory, beside other detectors.
 
     export OPENBLAS_NUM_THREADS=1
     python benchmarks/image_cost.py --json image_cost.json  # all, some ten minutes; and docs/image_cost.png
     python benchmarks/image_cost.py --only markers          # one part: pixels, markers, cameras or swarm
 
 *Pixels*: sixteen markers of 30 px in images from 640x480 to 4K, noise 5. *Markers*: 4 to 100 of them in an
-image of 1920x1440. In both each frame is drawn, searched as a whole (`photometric`), followed (`tracking`)
-and given to `cv2.aruco` at its defaults and to the libraries that are installed, one after the other on one
-thread, so that what slows the machine slows all alike; medians over the frames.
+image of 1920x1440. In both, each frame is drawn, searched as a whole (`photometric`) and followed
+(`tracking`). `cv2.aruco` at its defaults and the installed libraries get the same frame. All run in turn on
+one thread, so that other load affects all equally. Times are medians over the frames.
 
-*Cameras*: 1 to 16 units over the same sixteen robots; a step of the rendered loop by the clock, with one job
-and with two, in which all cameras take an image, one after the other and side by side.
+*Cameras*: 1 to 16 units over the same sixteen robots. The figure is the wall time of a step of the rendered
+loop in which all cameras take an image, with one job and with two.
 
-*Swarm*: ten robots under each unit as in `benchmarks/scale.py`, 60 to 1000 robots, rendered: a step of the
-loop on one core in which all units take an image, first when each searches its whole image and then when
-robots are followed, and the process's greatest memory, each in a process of its own.
+*Swarm*: ten robots under each unit as in `benchmarks/scale.py`, 60 to 1000 rendered robots, on one core. The
+figures are the time of a step in which all units take an image, and the peak memory of the process. The step
+is timed when each unit searches its whole image, and again when robots are followed.
 """
 
 import argparse
@@ -53,7 +53,7 @@ MARKERS = (4, 16, 36, 64, 100)
 CAMERAS = (1, 2, 4, 8, 16)
 UNITS = (6, 12, 25, 50, 100)
 WARM_UP = 12
-"""First frames that do not count. *Chosen*: `tracking` has searched the whole image by then, and follows."""
+"""Number of first frames that do not count. Chosen: `tracking` follows by then."""
 
 PEERS = {"apriltag3": "pupil_apriltags", "locus-tag": "locus"}
 """Detectors of other libraries, and the module that each needs."""
@@ -82,7 +82,7 @@ class Scene:
         )
 
     def draw(self, frame: int) -> Image:
-        """The image of a frame; the camera moves, so that no part of it can be kept from the last one."""
+        """Draw a frame. The camera moves, so that no part can be reused from the previous frame."""
         pose = CameraPose((0.02 * frame, -0.014 * frame), HEIGHT_M, 0.001 * frame)
         swing = np.sin(0.1 * frame)
         positions_m = self.positions_m + pose.position_m + self.drift_m * 10 * swing
@@ -92,14 +92,14 @@ class Scene:
 
 
 def timed_ms(call: Callable[..., Any], *arguments: Any, **named: Any) -> tuple[Any, float]:
-    """What a call returns, and the milliseconds that it takes."""
+    """Return the result of a call and its duration, ms."""
     started = perf_counter()
     result = call(*arguments, **named)
     return result, 1e3 * (perf_counter() - started)
 
 
 def measure_images(size_px: tuple[int, int], markers: int, frames: int) -> list[Row]:
-    """A row for drawing and for each detector: median milliseconds, and markers found of those shown."""
+    """Return a row for drawing and for each detector: median time, ms, and share of markers found."""
     cv2.setNumThreads(1)
     names = {"photometric": DICTIONARY, "tracking": DICTIONARY, "opencv": DICTIONARY} | {
         name: PEER_DICTIONARY for name, module in PEERS.items() if find_spec(module)
@@ -132,7 +132,7 @@ def measure_images(size_px: tuple[int, int], markers: int, frames: int) -> list[
 
 
 def ring_mission(cameras: int) -> Mission:
-    """Sixteen robots, and units above them in a row, all of which see all robots."""
+    """Return a mission of sixteen robots below a row of units that all see every robot."""
     grid = np.stack(np.meshgrid(np.arange(4) - 1.5, np.arange(4) - 1.5), axis=-1).reshape(-1, 2)
     rng = np.random.default_rng(5)
     return make_mission(
@@ -159,7 +159,7 @@ def ring_mission(cameras: int) -> Mission:
 
 
 def measure_cameras(cameras: int, jobs: int, steps: int) -> Row:
-    """The clock's time of a step of the rendered loop, once robots are followed."""
+    """Return the wall time of a step of the rendered loop while robots are followed."""
     mission = ring_mission(cameras)
     with SideBySide(make_run_perception(mission), jobs) as perception:
         loop = run_steps(mission, perception)
@@ -170,7 +170,7 @@ def measure_cameras(cameras: int, jobs: int, steps: int) -> Row:
 
 
 def measure_swarm(units: int, images: int) -> Row:
-    """Processor time of a step in which all units take an image, and this process's greatest memory."""
+    """Return the processor time of a step in which all units take an image, and the peak memory."""
     cv2.setNumThreads(1)
     mission = make_mission(swarm(units) | {"perception": "rendered"})
     times, found, whole = [], 0, 0
@@ -195,25 +195,25 @@ def measure_swarm(units: int, images: int) -> Row:
 
 
 def greatest_memory_mib() -> float:
-    """The most memory that this process has had, MiB; its own, and not that of the one that started it."""
+    """Return the peak memory of this process alone, MiB."""
     status = Path("/proc/self/status").read_text()
     return float(re.search(r"VmHWM:\s+(\d+) kB", status)[1]) / 1024  # type: ignore[index]
 
 
 def swarm_beside(units: int, images: int) -> Row:
-    """`measure_swarm` in a process of its own, whose memory is of nothing else."""
+    """Run `measure_swarm` in a process of its own, so that its memory is measured alone."""
     command = [sys.executable, __file__, "--swarm-of", str(units), "--frames", str(images)]
     row: Row = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
     return row
 
 
 def exponent(x: list[float], y: list[float]) -> float:
-    """Exponent p of `y ~ x^p`, by least squares over the logarithms."""
+    """Return the exponent p of `y ~ x^p`, by least squares over the logarithms."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
 def image_parts(frames: int) -> dict[str, Callable[[], Iterator[Row]]]:
-    """The parts of the measurement by name, each of which yields its rows."""
+    """Return the parts of the measurement by name, each of which yields its rows."""
     return {
         "pixels": lambda: (row for size in SIZES_PX for row in measure_images(size, 16, frames)),
         "markers": lambda: (row for count in MARKERS for row in measure_images((1920, 1440), count, frames)),
@@ -223,7 +223,7 @@ def image_parts(frames: int) -> dict[str, Callable[[], Iterator[Row]]]:
 
 
 def draw(result: dict[str, Any], path: Path) -> None:
-    """Four panels: times against megapixels, markers and cameras; a swarm's step and memory."""
+    """Draw four panels: times against megapixels, markers and cameras; a swarm's step and memory."""
     with drawing_style():
         figure = new_figure(8.4)
         axes = figure.subplots(2, 2).ravel()
@@ -264,7 +264,7 @@ def draw(result: dict[str, Any], path: Path) -> None:
 
 
 def main() -> None:
-    """Command line."""
+    """Read the command line, measure and draw."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

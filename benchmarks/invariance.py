@@ -1,13 +1,13 @@
-"""Property 1 on rendered images: the triangle under random cameras of its class, in both gains.
+"""Test Property 1 on rendered images: the triangle under random cameras of its class, in both gains.
 
     python benchmarks/invariance.py                   # 100 cameras, Markdown on stdout
     python benchmarks/invariance.py --cameras 20
 
 Cameras differ in focal length (x 0.5 to 2), height, place, yaw and its rate, principal point, image size and
-a zoom ramp; markers have 14 px or more, all robots are in view. Start and gains are `triangle`'s, four times
-as fast. Paths are held against those of exact projection, which are the same for all cameras; `noise alone`
-is exact projection with the detector's noise, at each camera's own scale, its median over seeds. Every run is
-kept in `--out`, and the same command goes on from there.
+a zoom ramp. Markers have 14 px or more, and all robots are in view. The start is that of `triangle`, and the
+gains are four times as large. Paths are compared with those of exact projection, which are equal for all
+cameras. `noise alone` is exact projection with the detector's noise at each camera's scale, its median over
+seeds. Every run is kept in `--out`, and the same command resumes.
 """
 
 import argparse
@@ -29,7 +29,7 @@ PIXEL_GAIN = 0.4 / 40.0
 
 
 def random_unit(seed: int) -> dict[str, Any]:
-    """A hovering unit that has all of the start in view, whatever its zoom."""
+    """Return a hovering unit that sees the whole start at any zoom."""
     rng = np.random.default_rng([seed, 100])
     focal_px = float(FOCAL_PX * 2 ** rng.uniform(-1, 1))
     scales = rng.uniform(MIN_PX_PER_M, MAX_PX_PER_M, 2)
@@ -53,7 +53,7 @@ def random_unit(seed: int) -> dict[str, Any]:
 
 
 def make_run(seed: int, perception: str, gains: str = "marker", noise_seed: int = 1) -> Mission:
-    """One flight of the triangle, robots that never stop."""
+    """Return one flight of the triangle with robots that never stop."""
     tree = read_scenario("triangle").tree
     robots = load_mission("triangle")
     tree["robots"]["headings_deg"] = np.degrees(robots.headings_rad).tolist()

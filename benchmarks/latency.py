@@ -1,16 +1,16 @@
-"""How fast may robots be, and how fast does the shape come, at what latency, with and without compensation?
+"""Measure the largest stable gain and the settling time by latency, with and without compensation.
 
     export OPENBLAS_NUM_THREADS=1
     python benchmarks/latency.py --json latency.jsonl            # all gains, latencies, both ways: minutes
     python benchmarks/latency.py --json latency.jsonl --figure docs/live/latency.png --table latency.md
 
-Each row is one run of a scenario on exact points with wheels that have no limits, so that latency and the
-time between two decisions bound the gain; k_omega is four times k throughout. Units take ten images a second,
-and robots decide as often, or twice as often. From the star's own start such robots leave the images at large
-gains, which says nothing of stability; `from near` they do not. `settled_s` is the time from which the shape
-error stays below the scenario's goal of half a per cent, null if it does not by the end. `overshoot` is the
-greatest rise of the shape error above the least it had been before, as a share of the error at the start. The
-largest stable gain is the largest of the gains up to which every smaller one settled, too.
+Each row is one run of a scenario on exact points. Wheels have no limits, so that latency and the time between
+two decisions bound the gain; k_omega is four times k. Units take ten images a second, and robots decide as
+often, or twice as often. From the star's own start, robots leave the images at large gains, which is no
+measure of stability; `from near` avoids this. `settled_s` is the time from which the shape error stays below
+the scenario's goal of 0.5 %, or null. `overshoot` is the largest rise of the shape error above its earlier
+minimum, relative to the error at the start. The largest stable gain is the largest gain up to which every
+smaller one settled, too.
 """
 
 import argparse
@@ -51,7 +51,7 @@ RUNS = [
 
 
 def run(number: int) -> dict[str, Any]:
-    """One run, as a row."""
+    """Run one scenario and return its row."""
     scenario, latency_s, compensate, gain = RUNS[number]
     built_in, step_s, start = SCENARIOS[scenario]
     tree = tomllib.loads(scenario_text(built_in))
@@ -81,15 +81,15 @@ def run(number: int) -> dict[str, Any]:
 
 
 def select(rows: list[dict[str, Any]], **wanted: Any) -> list[dict[str, Any]]:
-    """The rows with these values, by ascending gain."""
+    """Return the rows with these values, by ascending gain."""
     found = [row for row in rows if all(row[key] == value for key, value in wanted.items())]
     return sorted(found, key=lambda row: row["gain"])
 
 
 def largest_stable(rows: list[dict[str, Any]]) -> float | None:
-    """Largest gain that settled, before the first larger than a gain that settled that did not.
+    """Return the largest gain below which every gain settled, from the smallest that did.
 
-    The least gains may be too slow to settle in the time of a run: what counts begins at the first that did.
+    The smallest gains may be too slow to settle within a run, so the range begins at the first that settled.
     """
     best = None
     for row in rows:
@@ -101,7 +101,7 @@ def largest_stable(rows: list[dict[str, Any]]) -> float | None:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Markdown: for each scenario and latency the largest gain and the quickest run, both ways."""
+    """Return a Markdown table of the largest gain and the fastest run by scenario and latency."""
     lines = [
         "| scenario | latency, s | largest stable k, 1/s | compensated | ratio | "
         "least time to settle, s | compensated | overshoot at k = 1 /s | compensated |",
@@ -125,7 +125,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
-    """Time to settle and overshoot over the gain, one column a scenario, one colour a latency."""
+    """Draw settling time and overshoot over the gain, one column a scenario, one colour a latency."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -168,7 +168,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def main() -> None:
-    """Run what is missing, and draw what there is."""
+    """Run the missing rows and draw all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--json", type=Path, default=Path("latency.jsonl"))
     parser.add_argument("--jobs", type=int, default=1)

@@ -1,4 +1,4 @@
-"""Whether live robots with bodies touch: crowded starts of a live team, judged by the true gaps.
+"""Measure contacts of live robots with bodies: crowded starts of a live team, judged by the true gaps.
 
     python benchmarks/live_bodies.py --json bodies.json --table bodies.md
     python benchmarks/live_bodies.py --processes 3
@@ -88,7 +88,7 @@ PATIENT = [
 
 @dataclass
 class Agent:
-    """A live process and when it does what.
+    """A live process and its schedule.
 
     Attributes:
         process: its core, mailbox and clock.
@@ -143,7 +143,7 @@ class CrowdedTeam:
 
     @property
     def time_s(self) -> float:
-        """Time since the start."""
+        """Return the time since the start, s."""
         return self._now_s - self._start_s
 
     def _agent(self, name: str) -> Agent:
@@ -165,7 +165,7 @@ class CrowdedTeam:
         return Agent(process, float(due_s), float(beat_s))
 
     def run(self, duration_s: float) -> None:
-        """Let time pass."""
+        """Run all processes and the world for a time."""
         for _ in range(round(duration_s / STEP_S)):
             self._air.advance(self._now_s)
             self._arm()
@@ -186,7 +186,7 @@ class CrowdedTeam:
             self._arming.advance()
 
     def _listen(self, agent: Agent) -> float:
-        """Take in messages and send a heartbeat when it is due; returns the process's clock."""
+        """Receive messages, send a heartbeat when it is due, and return the process's clock."""
         process, clock_s = agent.process, self._now_s + agent.process.offset_s
         for arrival in process.mailbox.fetch():
             process.core.receive(arrival.envelope, arrival.received_s)
@@ -224,7 +224,7 @@ class CrowdedTeam:
             agent.due_s += float(self._rng.uniform(*STALL_S))
 
     def _move(self) -> None:
-        """Move on by a step; wheels obey their last command until it is `HOLD_S` old."""
+        """Integrate one step. Wheels keep their last command until it is `HOLD_S` old."""
         told = [
             (v_mps, omega_radps) if self._now_s - told_s <= HOLD_S else (0.0, 0.0)
             for v_mps, omega_radps, told_s in self._wheels.values()
@@ -236,7 +236,7 @@ class CrowdedTeam:
         self._world.advance(self._world.limit(command), self.time_s, STEP_S)
 
     def _error(self) -> float:
-        """The shape error by the newest roles of any unit."""
+        """Return the shape error by the newest roles of any unit."""
         roles = newest_roles([agent.roles for agent in self._agents], self.mission.ids.size)
         shape = self.mission.shape_at(self.time_s, roles)
         return float(self._observer.observe(self._world.positions_m, {}, (), shape).shape.error)
@@ -346,7 +346,7 @@ def small_lab(camera: str, radio: str) -> dict[str, Any]:
 
 
 def _wait_for_driving(log: Path, processes: list["subprocess.Popen[bytes]"]) -> bool:
-    """Wait until some robot drives; returns whether one does."""
+    """Wait until a robot drives, and return whether one does."""
     end_s = time.monotonic() + WAIT_S
     while time.monotonic() < end_s and all(process.poll() is None for process in processes):
         if log.exists() and "driving" in log.read_text(encoding="utf-8"):

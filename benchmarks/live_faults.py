@@ -1,11 +1,11 @@
-"""What live processes do when things go wrong: each fault ten times, judged at the wheels.
+"""Measure the behaviour of live processes under faults: each fault ten times, judged at the wheels.
 
     python benchmarks/live_faults.py --json faults.json --table docs/live/faults.md
 
 The processes' own cores run in one process and in simulated time, each with a clock of its own, over a radio
-in memory: the code between camera, radio and driver is the very one that runs in processes, and the faults
-hit exactly where and when they are meant to, ten different times of ten different starts. The world is the
-scenario `triangle` on exact points: one unit, six robots, ten images a second.
+in memory. The code between camera, radio and driver is the code of the real processes. Each fault has an
+exact place and time, in ten runs with different times and starts. The world is the scenario `triangle` on
+exact points: one unit, six robots, ten images a second.
 
 Columns:
 
@@ -78,7 +78,7 @@ class Process:
     told: list[str] = field(default_factory=list)
 
     def say(self, line: str) -> None:
-        """Keep a line unless it was the last one."""
+        """Record a line unless it equals the last one."""
         if not self.told or self.told[-1] != line:
             self.told.append(line)
 
@@ -135,7 +135,7 @@ class Team:
         self.see: Callable[[int, float], float | None] = lambda unit, time_s: time_s
 
     def start(self, name: str) -> Process:
-        """Start a process, or start it anew with nothing that it knew."""
+        """Start a process, or restart it without memory."""
         kind, number = name.split("/")
         if name in self.processes:
             self.processes[name].radio.close()
@@ -155,7 +155,7 @@ class Team:
         return process
 
     def kill(self, name: str, for_s: float) -> None:
-        """End a process at once; it is started again after a while."""
+        """Kill a process; it restarts after a while."""
         self.start(name).dead_until_s = self.now_s + for_s
 
     def freeze(self, name: str, for_s: float) -> None:
@@ -172,18 +172,18 @@ class Team:
                 self.woke[robot] = self.processes[f"robot/{robot}"].frozen_until_s
 
     def use_session(self, *, arms: bool) -> None:
-        """Let the operator of `skyherd live run` take part, in place of `armed_s`."""
+        """Let the operator of `skyherd live run` take part, instead of `armed_s`."""
         self.armed_s = None
         watched = operator.watch(self.lab, self.air.radio("session"), lambda: self.now_s, "session")
         self.session = Session(self.lab, watched, lambda name, line: None, arms=arms)
 
     @property
     def time_s(self) -> float:
-        """Time since the start."""
+        """Return the time since the start, s."""
         return self.now_s - self.start_s
 
     def step(self) -> None:
-        """A tenth of a second."""
+        """Run one time step of a tenth of a second."""
         self.air.advance(self.now_s)
         self._command()
         for process in self.processes.values():
@@ -209,7 +209,7 @@ class Team:
         self.now_s = self.start_s + self._step * PERIOD_S
 
     def _command(self) -> None:
-        """The operator arms all robots, once, as `skyherd live arm` does: it repeats the command for 3 s."""
+        """Arm all robots once, as `skyherd live arm` does: repeat the command for 3 s."""
         self.operator.listen(0.0)
         if self.session is not None:
             self.session.step("", 0.0)
@@ -247,7 +247,7 @@ class Team:
             self.imaged_s[core.robot_id] = self.now_s - age_s
 
     def _move(self) -> None:
-        """Wheels do as they were told last, unless that is longer ago than their keep-alive."""
+        """Move robots by their last command, unless it is older than the keep-alive."""
         told = []
         for robot, (v_mps, omega_radps, told_s) in self.wheels.items():
             live = self.now_s - told_s <= HOLD_S
@@ -268,13 +268,13 @@ Fault = Callable[[Team, np.random.Generator, float], None]
 
 
 def unit_killed(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """The unit is killed, and back after three seconds."""
+    """Kill the unit; it restarts after three seconds."""
     if abs(team.time_s - at_s) < PERIOD_S / 2:
         team.kill("unit/0", 3.0)
 
 
 def robot_killed(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """A robot's process is killed, back after two seconds, and armed again ten seconds later."""
+    """Kill a robot's process; it restarts after two seconds and is armed again ten seconds later."""
     if abs(team.time_s - at_s) < PERIOD_S / 2:
         team.kill(f"robot/{rng.integers(6)}", 2.0)
     if abs(team.time_s - at_s - 10.0) < PERIOD_S / 2:
@@ -282,52 +282,52 @@ def robot_killed(team: Team, rng: np.random.Generator, at_s: float) -> None:
 
 
 def stream_stalls(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """No picture for three seconds."""
+    """Hold back all pictures for three seconds."""
     team.see = lambda unit, time_s: None if at_s <= team.time_s < at_s + 3.0 else time_s
 
 
 def stream_repeats(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """For three seconds each picture is one that was shown before, with its old stamp."""
+    """Repeat earlier pictures with their old stamps for three seconds."""
     frozen_s = team.start_s + at_s
     team.see = lambda unit, time_s: frozen_s if at_s <= team.time_s < at_s + 3.0 else time_s
 
 
 def stream_late(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """For five seconds pictures are two seconds old."""
+    """Delay pictures by two seconds, for five seconds."""
     team.see = lambda unit, time_s: time_s - 2.0 * (at_s <= team.time_s < at_s + 5.0)
 
 
 def messages_lost(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """From then on 30 % of all messages are lost, and the others up to 0.2 s late."""
+    """Lose 30 % of all messages and delay the others by up to 0.2 s, for the rest of the run."""
     if abs(team.time_s - at_s) < PERIOD_S / 2:
         team.air.drop = lambda topic, receiver: bool(rng.random() < 0.3)
         team.air.delay_s = lambda topic, receiver: float(rng.uniform(0, 0.2))
 
 
 def clock_off(offset_s: float) -> Fault:
-    """The unit's clock is off from the start."""
+    """Start with an offset of the unit's clock."""
 
     def fault(team: Team, rng: np.random.Generator, at_s: float) -> None:
         if team.time_s < PERIOD_S / 2:
             team.processes["unit/0"].offset_s = offset_s * (1 if rng.random() < 0.5 else -1)
 
-    fault.__doc__ = f"The unit's clock is {offset_s:g} s off, from the start."
+    fault.__doc__ = f"Start with an offset of {offset_s:g} s of the unit's clock."
     return fault
 
 
 def clock_set(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """The unit's clock is set by 20 s."""
+    """Set the unit's clock by 20 s."""
     if abs(team.time_s - at_s) < PERIOD_S / 2:
         team.processes["unit/0"].offset_s += 20.0 * (1 if rng.random() < 0.5 else -1)
 
 
 def partition(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """For ten seconds nothing passes between the unit and the robots."""
+    """Block all messages between the unit and the robots for ten seconds."""
     team.air.drop = lambda topic, receiver: at_s <= team.time_s < at_s + 10.0
 
 
 def two_teams(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """Another team's unit of the same number sends to all topics of ours, under its own name."""
+    """Let another team's unit of the same number send to all topics, under its own name."""
     if not hasattr(team, "other"):
         team.other = team.air.radio("other")  # type: ignore[attr-defined]
         team.heard = []  # type: ignore[attr-defined]
@@ -338,7 +338,7 @@ def two_teams(team: Team, rng: np.random.Generator, at_s: float) -> None:
 
 
 def missed_stop(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """A robot is frozen while the team is stopped, and wakes up one to four seconds later.
+    """Suspend a robot while the team is stopped, and wake it up one to four seconds later.
 
     Every other time the messages that were sent to it meanwhile are lost.
     """
@@ -352,7 +352,7 @@ def missed_stop(team: Team, rng: np.random.Generator, at_s: float) -> None:
 
 
 def stop_lost(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """A robot hears nothing for three seconds, in which the team is stopped."""
+    """Withhold all messages from a robot for three seconds, in which the team is stopped."""
     if abs(team.time_s - at_s) < PERIOD_S / 2:
         deaf = f"robot/{rng.integers(6)}"
         team.air.drop = lambda topic, receiver: receiver == deaf and team.time_s < at_s + 3.0
@@ -360,7 +360,7 @@ def stop_lost(team: Team, rng: np.random.Generator, at_s: float) -> None:
 
 
 def pending_arm(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """A robot is frozen while `live run --arm` starts; the team is stopped before it wakes up."""
+    """Suspend a robot while `live run --arm` starts, and stop the team before it wakes up."""
     if team.time_s < PERIOD_S / 2:
         team.use_session(arms=True)
         team.freeze(f"robot/{rng.integers(6)}", at_s + round(float(rng.uniform(1.0, 4.0)), 1))
@@ -369,7 +369,7 @@ def pending_arm(team: Team, rng: np.random.Generator, at_s: float) -> None:
 
 
 def second_team(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """A second, disarmed team of the same name starts: both stand still and say so."""
+    """Start a second, disarmed team of the same name: both stand still and say so."""
     if abs(team.time_s - at_s) < PERIOD_S / 2:
         other = Team(team.lab, [], int(rng.integers(100)) + 100, team.air)
         other.armed_s = None
@@ -384,7 +384,7 @@ def second_team(team: Team, rng: np.random.Generator, at_s: float) -> None:
 
 
 def garbage(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """Bytes of all kinds, up to twice the largest size, to every topic."""
+    """Send bytes of all kinds, up to twice the largest size, to every topic."""
     radio = getattr(team, "noise", None) or team.air.radio("noise")
     team.noise = radio  # type: ignore[attr-defined]
     name = team.lab.model.team
@@ -416,7 +416,7 @@ def garbage(team: Team, rng: np.random.Generator, at_s: float) -> None:
 
 
 def nothing(team: Team, rng: np.random.Generator, at_s: float) -> None:
-    """Nothing goes wrong."""
+    """Run without a fault."""
 
 
 FAULTS: dict[str, Fault] = {
@@ -442,7 +442,7 @@ FAULTS: dict[str, Fault] = {
 
 
 def run(fault: str, seed: int, duration_s: float = DURATION_S) -> dict[str, Any]:
-    """One run with one fault, as a row."""
+    """Run once with one fault and return the row."""
     rng = np.random.default_rng([seed, 20])
     lab = load_lab("triangle", ["control.k=0.3", "control.k_omega=1.2"])
     team = Team(lab, [], seed)
@@ -479,11 +479,11 @@ STOP_COLUMNS: dict[str, Callable[[list[dict[str, Any]]], Any]] = {
     "after a stop, s": longest_after_stop,
     "after waking": lambda here: sum(row["woke"] for row in here),
 }
-"""What a table says of stops."""
+"""Columns of a table about stops."""
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Markdown: a line a fault."""
+    """Return a Markdown table with one line a fault."""
     return fault_table(
         rows,
         {
@@ -497,7 +497,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def fault_table(rows: list[dict[str, Any]], entries: dict[str, Callable[[list[dict[str, Any]]], Any]]) -> str:
-    """Markdown: a line a fault, with what is made of its rows under each heading."""
+    """Return a Markdown table with one line a fault, by a function of its rows for each heading."""
     by_fault: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         by_fault.setdefault(row["fault"], []).append(row)
@@ -514,7 +514,7 @@ def measure(
     run: Callable[[str, int], dict[str, Any]],
     table: Callable[[list[dict[str, Any]]], str],
 ) -> None:
-    """Run faults so many times, as the command line says, and write and print what came of it."""
+    """Run each fault as often as the command line says, and write and print the results."""
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--table", type=Path)

@@ -1,25 +1,23 @@
-"""What of a live run's latency is ours, beside what OpenCV's detector takes on the same images.
+"""Measure skyherd's share of a live run's latency, beside OpenCV's detector on the same images.
 
     python benchmarks/live_latency.py --scenario triangle star --json live_latency.jsonl
     python benchmarks/live_latency.py --only recording
 
-One camera's images of a scenario are rendered, with its robots driving, and written into a video without
-losses. The same video then is the camera of a lab with one unit and all of the scenario's robots:
+The images of one camera are rendered while the robots drive, and written into a lossless video. This video is
+the camera of a lab with one unit and all robots of the scenario:
 
-- `alone`: in this process, nothing beside it, image after image: OpenCV's detector with its own settings;
-  the unit's detector; its decision; and the bytes of all that it sends.
-- `live`: `skyherd live run`, processes of their own for the unit and each robot, the video at its own pace,
-  and then the same with OpenCV's detector in place of the unit's. Stages are those of `skyherd report`.
-- `recording`: in this process again, all that a unit does on an image and keeps of it, without a log, and
-  with one that has none, 1 and 10 pictures a second for viewers, in turns. Of the passes of one kind each
-  image's shortest time counts, which other work on the machine disturbs least; `own` is the processor's time
-  of the unit's own thread, which that disturbs even less.
+- `alone`: single images in this process, without other load. It times OpenCV's detector with its own
+  settings, the unit's detector, its decision, and the encoding of its messages.
+- `live`: `skyherd live run` with a process for the unit and each robot, the video at its own rate. A second
+  run has OpenCV's detector instead of the unit's. Stages are those of `skyherd report`.
+- `recording`: the unit's loop in this process, without a log, and with logs of 0, 1 and 10 pictures a second,
+  in turns. The minimum over the passes counts for each image, as other load disturbs it least. `own` is the
+  processor time of the unit's thread.
 
-*Ours* is what the unit computes, from the beginning of an image to the last message sent; `after` is what it
-searches of the image after that, for which an image that comes before its end waits, and `all` is both.
-`live` adds up medians and percentiles of these stages; the percentile of their sum is less. `with waiting`
-counts as ours, too, what passes until the unit begins and until the robot decides: all but the stream's way
-and the radio's.
+*Ours* is the unit's time from the beginning of an image to its last message. `after` is the search that
+follows the decision; an image that arrives earlier waits for it. `all` is both. `live` adds up medians and
+percentiles of these stages; the percentile of their sum is smaller. `with waiting` adds the waits until the
+unit begins and until the robot decides. Only the ways of the stream and the radio are excluded then.
 """
 
 import argparse
@@ -72,7 +70,7 @@ def make_video(scenario: str, path: Path, images: int) -> None:
 
 
 def lab_of(scenario: str, **changes: Any) -> Lab:
-    """The example lab of a scenario with its first camera alone, robots without wheels, and changed keys."""
+    """Return the lab of a scenario with only its first camera, robots without wheels, and changed keys."""
     tree = load_lab(scenario).model.model_dump(mode="json", exclude_none=True)
     tree["cameras"] = [{"address": "none", **changes}]
     for robot in tree["robots"]:
@@ -81,12 +79,12 @@ def lab_of(scenario: str, **changes: Any) -> Lab:
 
 
 def images_of(path: Path) -> Iterator[np.ndarray]:
-    """The images of a video."""
+    """Return the images of a video."""
     return (frame.image for frame in read_clip(open_clip(path)))
 
 
 def run_alone(scenario: str, path: Path) -> dict[str, Any]:
-    """Times of one image after the other in this process, s: medians, means and 99th percentiles."""
+    """Return times of single images in this process, s: medians, means and 99th percentiles."""
     lab = lab_of(scenario)
     dictionary = lab.model.markers.dictionary
     ours = create_detector(lab.camera(0).detector, dictionary=dictionary, deferring=True)
@@ -124,18 +122,18 @@ def run_alone(scenario: str, path: Path) -> dict[str, Any]:
 
 
 def look_around(detector: Detector, image: np.ndarray) -> None:
-    """What a unit searches when it has sent what it decided on an image."""
+    """Run the unit's search that follows its decision on an image."""
     if isinstance(detector, DeferringDetector):
         detector.look_around(image)
 
 
 def ratios(ours: dict[str, float], opencv: dict[str, float]) -> dict[str, float]:
-    """How many times as long ours takes, by each kind of average."""
+    """Return the ratio of our time to OpenCV's, for each kind of average."""
     return {name: ours[name] / opencv[name] for name in ours}
 
 
 def live_stages(lab: Lab, video: Path, folder: Path, port: int) -> dict[str, Any]:
-    """Stages of the latency of a live run of a video, s, as `skyherd report` has them."""
+    """Return the latency stages of a live run of a video, s, as `skyherd report` has them."""
     tree = lab.model.model_dump(mode="json", exclude_none=True)
     place = [f"tcp/127.0.0.1:{port}"]
     tree["radio"] = {"listen": place, "connect": place}
@@ -148,7 +146,7 @@ def live_stages(lab: Lab, video: Path, folder: Path, port: int) -> dict[str, Any
 
 
 def toml_text(tree: dict[str, Any]) -> str:
-    """A tree of plain values as TOML, each key at the top with its value in one line."""
+    """Return a tree of plain values as TOML, with each key at the top in one line."""
     return "".join(f"{key} = {toml_value(value)}\n" for key, value in tree.items())
 
 
@@ -161,7 +159,7 @@ def toml_value(value: Any) -> str:
 
 
 def run_live(scenario: str, video: Path, folder: Path, port: int) -> dict[str, Any]:
-    """Stages of a live run, and OpenCV's in the same place."""
+    """Return the stages of a live run, and those with OpenCV's detector."""
     with_ours = live_stages(lab_of(scenario), video, folder, port)
     with_opencv = live_stages(lab_of(scenario, detector=OPENCV), video, folder, port + 1)
     both = ("median", "p99")
@@ -177,7 +175,7 @@ def run_live(scenario: str, video: Path, folder: Path, port: int) -> dict[str, A
 
 
 def run_recording(scenario: str, path: Path, folder: Path, times: int) -> list[dict[str, Any]]:
-    """Time of a unit's loop an image, s, without a log, and with one and so many pictures a second."""
+    """Return the time of a unit's loop an image, s, without a log and at several picture rates."""
     images = list(images_of(path))
     took: dict[float | None, list[list[tuple[float, float]]]] = {rate_hz: [] for rate_hz in PICTURES_HZ}
     for number in range(times * len(PICTURES_HZ)):
@@ -201,9 +199,9 @@ def run_recording(scenario: str, path: Path, folder: Path, times: int) -> list[d
 def loop_times(
     lab: Lab, images: list[np.ndarray], path: Path, rate_hz: float | None
 ) -> list[tuple[float, float]]:
-    """Time of a unit's loop for each image, s, as fast as it can, and the processor's time of its thread.
+    """Return the times of a unit's unthrottled loop for each image, s, and its thread's processor times.
 
-    There is no process_log where no rate of pictures is given.
+    Without a picture rate there is no process log.
     """
     dictionary = lab.model.markers.dictionary
     detector = create_detector(lab.camera(0).detector, dictionary=dictionary, deferring=True)
@@ -233,7 +231,7 @@ def loop_times(
 
 
 def show(row: dict[str, Any]) -> None:
-    """Print a row for people."""
+    """Print a row for readers."""
     text = f"{row['scenario']:9} {row['kind']:9}"
     if row["kind"] == "recording":
         rate_hz = row["image_rate_hz"]
@@ -254,7 +252,7 @@ def show(row: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """All kinds of runs."""
+    """Run the kinds of runs that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--scenario", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
     parser.add_argument("--only", choices=["alone", "live", "recording"])

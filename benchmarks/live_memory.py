@@ -1,13 +1,13 @@
-"""Whether the memory of a live run stays what it is: every process of it watched for twenty minutes.
+"""Measure the memory growth of every process of a live run over twenty minutes.
 
     python benchmarks/live_memory.py --json live_memory.json
     python benchmarks/live_memory.py --minutes 5 --figure live_memory.png
 
-`skyherd world` and `skyherd live run` run a lab on loopback, armed, and every few seconds the resident memory
-that is a process's own (`RssAnon` in /proc) is read of all of them. The first quarter of the time is left
-out: libraries load, and inboxes and the tracker's memories fill. Over the rest a line is fitted to each
-process's memory, and `grows` is what it gains in an hour, with twice its standard error; noise of a line's
-residuals is taken to last for ten readings. `gained` is the median of the last tenth less that of the first.
+`skyherd world` and `skyherd live run` run an armed lab on loopback. Every few seconds the private resident
+memory of each process (`RssAnon` in /proc) is read. The first quarter of the time is left out: libraries
+load, and inboxes and the tracker's memories fill. `grows` is the slope of a line through the rest, an hour,
+with twice its standard error; the correlation time of residuals is assumed to be ten readings. `gained` is
+the median of the last tenth minus that of the first.
 """
 
 import argparse
@@ -31,7 +31,7 @@ MIB = 1024.0
 
 
 def processes_of(folder: Path) -> dict[str, int]:
-    """Process numbers by name, of all that were started with a lab file in a folder."""
+    """Return process ids by name, of all that were started with a lab file in a folder."""
     found = {}
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
@@ -48,7 +48,7 @@ def processes_of(folder: Path) -> dict[str, int]:
 
 
 def own_mib(process: int) -> float:
-    """Resident memory of a process that is its own, MiB; NaN if it is gone."""
+    """Return the resident memory of a process that is its own, MiB; NaN if it is gone."""
     try:
         text = Path(f"/proc/{process}/status").read_text()
     except OSError:
@@ -59,7 +59,7 @@ def own_mib(process: int) -> float:
 
 
 def watch(scenario: str, minutes: float, speed: float, settings: list[str]) -> dict[str, Any]:
-    """Run a lab, and read the memory of its processes; times in s, memory in MiB."""
+    """Run a lab, and return the memory of its processes, MiB, over time, s."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         file = folder / "lab.toml"
@@ -85,7 +85,7 @@ def watch(scenario: str, minutes: float, speed: float, settings: list[str]) -> d
 
 
 def _read(folder: Path, for_s: float) -> dict[str, Any]:
-    """Memory of all processes, read every `READ_S` for so long."""
+    """Return the memory of all processes, read every `READ_S` for a duration."""
     names = processes_of(folder)
     begun_s = time.monotonic()
     times_s: list[float] = []
@@ -100,12 +100,12 @@ def _read(folder: Path, for_s: float) -> dict[str, Any]:
 
 
 def _again(folder: Path) -> list[Path]:
-    """Files of processes that were started again."""
+    """Return the files of processes that were restarted."""
     return list((folder / "run").glob("*.*.mcap"))
 
 
 def judge(watched: dict[str, Any]) -> list[dict[str, Any]]:
-    """What each process gains, MiB."""
+    """Return the memory growth of each process, MiB."""
     times_s = np.array(watched["times_s"])
     kept = times_s >= LEFT_OUT * times_s[-1]
     rows = []
@@ -127,7 +127,7 @@ def judge(watched: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _line(hours: np.ndarray, own: np.ndarray) -> tuple[float, float]:
-    """Slope of the line through memory over time, and its standard error."""
+    """Return the slope of the line through memory over time, and its standard error."""
     away = hours - hours.mean()
     slope = float(away @ own / (away @ away))
     left = own - own.mean() - slope * away
@@ -135,7 +135,7 @@ def _line(hours: np.ndarray, own: np.ndarray) -> tuple[float, float]:
 
 
 def draw(watched: dict[str, Any], path: Path) -> None:
-    """Memory over time, a line a process."""
+    """Draw memory over time, a line a process."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -152,7 +152,7 @@ def draw(watched: dict[str, Any], path: Path) -> None:
 
 
 def main() -> None:
-    """Watch, and say what grows."""
+    """Watch a lab and print the processes that grow."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--scenario", default="triangle")
     parser.add_argument("--minutes", type=float, default=20.0)

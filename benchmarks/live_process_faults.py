@@ -1,12 +1,11 @@
-"""What a live team of real processes does when things go wrong, judged at the wheels of its world.
+"""Measure the behaviour of a live team of real processes under faults, judged at the wheels of its world.
 
     python benchmarks/live_process_faults.py --times 10 --json faults.json --table faults.md
 
 `skyherd world triangle` and `skyherd live run --arm` run as they do for users: processes, Zenoh on loopback,
-an H.264 stream over TCP, which passes through a relay in this process that can cut it or hold it back. Each
-run lasts half a minute to a minute of real time; the fault hits a few seconds after the robots began to
-drive. `benchmarks/live_faults.py` has the faults that need a radio or a clock that can be bent: those run in
-memory.
+and an H.264 stream over TCP. A relay in this process can cut the stream or hold it back. Each run lasts 30 to
+60 s of real time, and the fault occurs a few seconds after the robots began to drive. Faults of the radio and
+of clocks run in memory (`benchmarks/live_faults.py`).
 
 Columns:
 
@@ -54,10 +53,10 @@ DRIVE_S, FAULT_S, AFTER_S = 60.0, 3.0, 20.0
 """Longest wait until all robots drive; from then on to the fault, and from the fault to the end, s."""
 
 GAINS = ["--set", "control.k=0.3", "--set", "control.k_omega=1.2"]
-"""Three times those of the example, so that a run takes half a minute."""
+"""Gains: three times those of the example, so that a run takes half a minute. Chosen."""
 
 KEEP_ALIVE_S = 0.5
-"""Of the world's wheels (`skyherd.live.world.process.HOLD_S`)."""
+"""Keep-alive of the world's wheels, s (`skyherd.live.world.process.HOLD_S`)."""
 
 FORMED = 0.02
 STALL_S = 3.0
@@ -82,15 +81,15 @@ class Relay:
                 link.shutdown(socket.SHUT_RDWR)
 
     def hold(self) -> None:
-        """Pass nothing on until `release`, which then passes on what is old."""
+        """Hold all data back until `release`, which then sends the old data."""
         self._held.clear()
 
     def release(self) -> None:
-        """Pass on what was held back, and all that follows."""
+        """Send all data that was held back, and resume."""
         self._held.set()
 
     def close(self) -> None:
-        """End everything."""
+        """Close all sockets."""
         self.release()
         self.cut()
         self._socket.close()
@@ -147,12 +146,12 @@ class Team:
 
     @property
     def log(self) -> str:
-        """What all processes have said."""
+        """Return the output of all processes."""
         path = self.folder / "run" / "live.log"
         return path.read_text(encoding="utf-8") if path.exists() else ""
 
     def processes(self) -> dict[str, int]:
-        """Process numbers by name, such as `robot/3`, of all units and robots that run."""
+        """Return process ids by name, such as `robot/3`, of all running units and robots."""
         found = {}
         for path in Path("/proc").glob("[0-9]*/cmdline"):
             with suppress(OSError):
@@ -162,7 +161,7 @@ class Team:
         return found
 
     def kill(self, name: str) -> None:
-        """End a process at once."""
+        """Kill a process."""
         os.kill(self.processes()[name], signal.SIGKILL)
         self.killed[name.replace("/", "_")] = time.time()
 
@@ -171,38 +170,38 @@ Fault = Callable[[Team, np.random.Generator], None]
 
 
 def nothing(team: Team, rng: np.random.Generator) -> None:
-    """Nothing goes wrong."""
+    """Run without a fault."""
 
 
 def unit_killed(team: Team, rng: np.random.Generator) -> None:
-    """SIGKILL of the unit; the supervisor starts it again."""
+    """Kill the unit by SIGKILL; the supervisor restarts it."""
     team.kill("unit/0")
 
 
 def robot_killed(team: Team, rng: np.random.Generator) -> None:
-    """SIGKILL of a robot; it is started again, and stays disarmed."""
+    """Kill a robot by SIGKILL; it restarts and stays disarmed."""
     team.kill(f"robot/{rng.integers(6)}")
 
 
 def stream_cut(team: Team, rng: np.random.Generator) -> None:
-    """The camera's connection ends; the unit connects again."""
+    """Close the camera's connection; the unit connects again."""
     team.relay.cut()
 
 
 def stream_stalls(team: Team, rng: np.random.Generator) -> None:
-    """Nothing comes for a while, and then all at once what was held back: old pictures."""
+    """Hold the stream back for a while, and then send all old pictures at once."""
     team.relay.hold()
     time.sleep(STALL_S)
     team.relay.release()
 
 
 def unit_sleeps(team: Team, rng: np.random.Generator) -> None:
-    """SIGSTOP and SIGCONT of the unit."""
+    """Send SIGSTOP and SIGCONT to the unit."""
     _sleep(team.processes()["unit/0"])
 
 
 def robot_sleeps(team: Team, rng: np.random.Generator) -> None:
-    """SIGSTOP and SIGCONT of a robot."""
+    """Send SIGSTOP and SIGCONT to a robot."""
     _sleep(team.processes()[f"robot/{rng.integers(6)}"])
 
 
@@ -213,12 +212,12 @@ def _sleep(process: int) -> None:
 
 
 def supervisor_killed(team: Team, rng: np.random.Generator) -> None:
-    """SIGKILL of `skyherd live run`: what it started ends by itself."""
+    """Kill `skyherd live run` by SIGKILL; its child processes end by themselves."""
     team.session.kill()
 
 
 def garbage(team: Team, rng: np.random.Generator) -> None:
-    """Ten seconds of bytes that are no messages, some of them too many, to every topic."""
+    """Send ten seconds of invalid messages, some of them too large, to every topic."""
     from skyherd.live.zenoh_radio import ZenohRadio
 
     radio = ZenohRadio(LabRadio(listen=[team.radio], connect=[team.radio]), team.folder)
@@ -239,7 +238,7 @@ def garbage(team: Team, rng: np.random.Generator) -> None:
 
 
 def missed_stop(team: Team, rng: np.random.Generator) -> None:
-    """A robot is suspended, the team is stopped, and the robot wakes up."""
+    """Suspend a robot, stop the team, and wake the robot up."""
     robot = int(rng.integers(6))
     process = team.processes()[f"robot/{robot}"]
     os.kill(process, signal.SIGSTOP)
@@ -250,7 +249,7 @@ def missed_stop(team: Team, rng: np.random.Generator) -> None:
 
 
 def pending_arm(team: Team, rng: np.random.Generator) -> None:
-    """The team was started with a suspended robot and `--arm`; it is stopped, and the robot wakes up."""
+    """Stop a team that was started with `--arm` and a suspended robot, and wake the robot up."""
     robot = team.facts["suspended"]
     team.facts["said"] = team.stop()
     team.woke[robot] = time.time()
@@ -258,7 +257,7 @@ def pending_arm(team: Team, rng: np.random.Generator) -> None:
 
 
 def second_team(team: Team, rng: np.random.Generator) -> None:
-    """A second world and a second `live run` of the lab are started: both are refused."""
+    """Start a second world and a second `live run` of the lab: both are refused."""
     port = str(_free_port())
     lab = str(team.lab_file)
     commands = {
@@ -274,7 +273,7 @@ def second_team(team: Team, rng: np.random.Generator) -> None:
 
 
 def second_interrupt(pause_s: float) -> Fault:
-    """Make a fault of two Ctrl-C."""
+    """Return a fault of two Ctrl-C."""
 
     def fault(team: Team, rng: np.random.Generator) -> None:
         team.stopped_s = time.time()
@@ -287,7 +286,7 @@ def second_interrupt(pause_s: float) -> Fault:
         team.facts["left"] = sorted(team.processes())
         team.facts["wrong_code"] = team.session.poll() != 130
 
-    fault.__doc__ = f"Ctrl-C, and once more after {pause_s:g} s."
+    fault.__doc__ = f"Interrupt by Ctrl-C, and again after {pause_s:g} s."
     return fault
 
 
@@ -310,7 +309,7 @@ FAULTS: dict[str, Fault] = {
 
 
 def run(fault: str, seed: int, folder: Path) -> dict[str, Any]:
-    """One run with one fault, as a row."""
+    """Run once with one fault and return the row."""
     rng = np.random.default_rng([seed, 21])
     team = _start(folder, seed, full=fault == "disk full")
     try:
@@ -343,7 +342,7 @@ def run(fault: str, seed: int, folder: Path) -> dict[str, Any]:
 
 
 def _wait_until(holds: Callable[[], bool]) -> bool:
-    """Wait until something holds, for `DRIVE_S` at most; return whether it does."""
+    """Wait until a condition holds, for `DRIVE_S` at most; return whether it does."""
     end_s = time.monotonic() + DRIVE_S
     while not holds() and time.monotonic() < end_s:
         time.sleep(0.1)
@@ -351,7 +350,7 @@ def _wait_until(holds: Callable[[], bool]) -> bool:
 
 
 def _suspend_one(team: Team, robot: int) -> bool:
-    """Suspend a robot at its start, and wait until all others are there; return whether they are."""
+    """Suspend a robot at its start, wait for all others, and return whether they are there."""
     name = f"robot/{robot}"
     _wait_until(lambda: name in team.processes())
     os.kill(team.processes()[name], signal.SIGSTOP)
@@ -361,7 +360,7 @@ def _suspend_one(team: Team, robot: int) -> bool:
 
 
 def _first_stop_s(folder: Path) -> float | None:
-    """Return when the first robot heard a stop, by the robots' logs, s since 1970; None if none did."""
+    """Return when the first robot heard a stop, by the robots' logs, s since 1970, or None."""
     heard_s = []
     for path in folder.glob("robot_*.mcap"):
         with suppress(InputError):
@@ -419,7 +418,7 @@ def _free_port() -> int:
 
 
 def _judge(team: Team) -> dict[str, Any]:
-    """What the world and the processes have recorded."""
+    """Return the row that follows from the recordings of the world and the processes."""
     limits = load_lab(str(team.lab_file), []).model.limits
     with (team.folder / "world.mcap").open("rb") as stream:
         messages = make_reader(stream).iter_messages(topics=["/truth"])
@@ -472,7 +471,7 @@ def _judge(team: Team) -> dict[str, Any]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Markdown: a line a fault."""
+    """Return a Markdown table with one line a fault."""
     return fault_table(
         rows,
         {
@@ -489,7 +488,7 @@ def table(rows: list[dict[str, Any]]) -> str:
 
 
 def run_in_new_folder(fault: str, seed: int) -> dict[str, Any]:
-    """One run, whose recordings are read and then removed."""
+    """Run once in a new folder, and remove its recordings after they were read."""
     with tempfile.TemporaryDirectory() as folder:
         return run(fault, seed, Path(folder))
 

@@ -1,11 +1,10 @@
-"""This version of skyherd against another one, in alternation on the same machine.
+"""Comparison of this version of skyherd with another one, in alternation on the same machine.
 
-The other version is that of a git reference, unpacked into a temporary folder and run by the same interpreter
-with the same packages. Each round runs both, each in a process of its own, and the order changes from round
-to round: what else the machine does then falls on both. Of each quantity the ratio of the two is taken in
-each round, and what is reported is the median of these ratios, with the least and the greatest. Times of the
-processor (user and system, of all processes) change less with other work than times by the clock do, and are
-reported beside them.
+The other version is a git reference, unpacked into a temporary folder and run by the same interpreter with
+the same packages. Each round runs both, each in a process of its own. The order changes from round to round,
+so that other load affects both. The result of each quantity is the median ratio over the rounds, with its
+minimum and maximum. Processor time (user and system, of all processes) depends less on other load than wall
+time, and is reported beside it.
 """
 
 import json
@@ -46,8 +45,8 @@ print(json.dumps({
     "places": places.hexdigest(),
 }))
 """
-"""Runs the loop on one core, and prints how long it took until the first step, how long the others took on
-average, and a digest of where the robots were. It uses only what all versions have."""
+"""Code that runs the loop on one core. It prints the time until the first step, the mean time of the
+other steps, and a digest of the robots' positions. It uses only functions that all versions have."""
 
 RUN = """
 import sys
@@ -55,7 +54,7 @@ from skyherd.cli import main
 sys.argv[1:] = ["run", sys.argv[1], "--set", "duration_s=" + sys.argv[2], "--out", sys.argv[3], *sys.argv[4:]]
 main()
 """
-"""Is `skyherd run`."""
+"""Code that calls `skyherd run`."""
 
 Row = dict[str, Any]
 """Quantities of one run of one version, by name."""
@@ -82,7 +81,7 @@ class Ratio:
     greatest: float
 
     def cells(self) -> tuple[str, ...]:
-        """As a row of a table: name, this, the other, ratio, and its least and greatest value."""
+        """Return the row of a table: name, this, the other, ratio, and its minimum and maximum."""
         spread = f"{self.least:.2f} to {self.greatest:.2f}"
         return self.name, short(self.this), short(self.other), f"{self.ratio:.2f}", spread
 
@@ -92,7 +91,7 @@ HEADER = ("per", "this", "other", "ratio", "rounds")
 
 
 def compare(pairs: Sequence[tuple[Row, Row]]) -> list[Ratio]:
-    """Ratios of each quantity that is a number, of one pair (this, other) a round, and at least one pair."""
+    """Return the ratios of each numeric quantity over at least one pair (this, other), a pair a round."""
     return [
         Ratio(
             name,
@@ -108,7 +107,7 @@ def compare(pairs: Sequence[tuple[Row, Row]]) -> list[Ratio]:
 
 
 def same_places(pairs: Sequence[tuple[Row, Row]]) -> bool:
-    """Whether the robots were at the same places, to the last bit, in all runs of both versions."""
+    """Return whether all runs of both versions have bitwise equal robot positions."""
     return len({row["places"] for pair in pairs for row in pair}) == 1
 
 
@@ -148,7 +147,7 @@ def measure_pairs(
 
 
 def _measure(version: Path | None, name: str, duration_s: float, *, whole: bool) -> Row:
-    """What a version takes; None is this one."""
+    """Return the quantities of one run of a version; None is this version."""
     row: Row = json.loads(_call(version, LOOP, [name, str(duration_s)])[0].splitlines()[-1])
     if whole:
         for kind, options in (("run", []), ("run without video", ["--no-video"])):
@@ -162,7 +161,7 @@ def _measure(version: Path | None, name: str, duration_s: float, *, whole: bool)
 def _call(
     version: Path | None, code: str, arguments: list[str], codes: tuple[int, ...] = (0,)
 ) -> tuple[str, float, float]:
-    """Output of code in a process with a version of skyherd, and what it took by clock and processor, s."""
+    """Return the output of code in a process with a version, and its wall and processor time, s."""
     threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     path = {} if version is None else {"PYTHONPATH": str(version)}
     with tempfile.TemporaryDirectory() as folder:
@@ -184,6 +183,6 @@ def _call(
 
 
 def _processor_s() -> float:
-    """Time of the processor that ended children of this process took, user's and system's, s."""
+    """Return the processor time of the ended child processes, user and system, s."""
     times = os.times()
     return times.children_user + times.children_system

@@ -1,7 +1,7 @@
-"""Where the time of the loop goes: steps a second and shares of drawing, detecting, control and recording.
+"""Time profile of the loop: steps a second and shares of drawing, detecting, control and recording.
 
-One thread, no video. What OpenCV's detector takes at its defaults for some of the same images says how fast
-the machine is: the ratio to it is nearly the same on another one, or on the same one with other work to do.
+It runs on one thread, without video. The time of OpenCV's default detector on some of the same images is the
+unit: the ratio to it is nearly equal on other machines, and on a machine with other load.
 """
 
 import tempfile
@@ -42,7 +42,7 @@ class Laps:
         self.calls_s: dict[str, list[float]] = defaultdict(list)
 
     def timed(self, part: str, call: Callable[..., Any]) -> Callable[..., Any]:
-        """The same call, timed under `part`."""
+        """Return the call, timed under `part`."""
 
         def wrapped(*args: object, **named: object) -> object:
             started = perf_counter()
@@ -54,19 +54,19 @@ class Laps:
         return wrapped
 
     def of(self, owner: Any, method: str, part: str) -> Any:
-        """The same object, whose method of this name is timed under `part`."""
+        """Return the object with the method of this name timed under `part`."""
         setattr(owner, method, self.timed(part, getattr(owner, method)))
         return owner
 
 
 def measure_parts(name: str, duration_s: float) -> dict[str, Any]:
-    """Run a scenario for `duration_s` of simulated time and account for the time that it takes.
+    """Run a scenario for `duration_s` of simulated time and account for its time.
 
     Returns:
-        steps and frames a second, median and 99th percentile of the time of a step (`step_ms_*`) and of a
-        frame in drawing and detecting (`frame_ms_*`), ms, the share of each of `PARTS` and of the rest, and
-        what OpenCV's detector takes for a frame, ms (`plain_aruco_ms_median`). `ratio_to_plain_aruco` is that
-        over the time of our detector: above 1 ours is faster.
+        Steps and frames a second; median and 99th percentile of the time of a step (`step_ms_*`) and of a
+        frame in drawing and detecting (`frame_ms_*`), ms; the share of each of `PARTS` and of the rest.
+        `plain_aruco_ms_median` is the time of OpenCV's detector for a frame, ms. `ratio_to_plain_aruco` is
+        its ratio to the time of our detector: above 1 ours is faster.
 
     Raises:
         InputError: there is no such scenario.
@@ -80,7 +80,7 @@ def measure_parts(name: str, duration_s: float) -> dict[str, Any]:
 
 
 def _run(mission: Mission, laps: Laps) -> tuple[list[float], list[Image]]:
-    """Seconds of each step, and some of the images."""
+    """Return the duration of each step, s, and some of the images."""
     step_s, images = list[float](), list[Image]()
     perception = make_run_perception(mission)
     assert isinstance(perception, RenderedPerception)
@@ -109,7 +109,7 @@ def _run(mission: Mission, laps: Laps) -> tuple[list[float], list[Image]]:
 
 
 def account(step_s: list[float], calls_s: dict[str, list[float]], plain_s: float) -> dict[str, Any]:
-    """The figures of `measure_parts`, of the seconds of each step and of each call of each part."""
+    """Return the figures of `measure_parts` from the durations of all steps and calls, s."""
     total_s, frames = sum(step_s), len(calls_s["detect"])
     shares = {part: sum(calls_s[part]) / total_s for part in PARTS}
     frame_parts = ("render", "detect")
@@ -129,7 +129,7 @@ def account(step_s: list[float], calls_s: dict[str, list[float]], plain_s: float
 
 
 def _time_plain(dictionary: str, images: list[Image]) -> float:
-    """Median seconds of OpenCV's detector at its defaults on images."""
+    """Return the median duration of OpenCV's default detector on images, s."""
     plain, spent_s = cv2.aruco.ArucoDetector(load_dictionary(dictionary)), []
     for image in images:
         started = perf_counter()

@@ -39,7 +39,7 @@ class Comparison:
 
 @dataclass(frozen=True)
 class LoopResult:
-    """What was measured.
+    """Result of the measurement.
 
     Attributes:
         environment: versions, machine, and what was asked for.
@@ -99,7 +99,7 @@ def measure_loop(
 
 
 def tables(result: LoopResult) -> list[Table]:
-    """The result as tables: where time goes, and each comparison."""
+    """Return the result as tables: the shares of time, and each comparison."""
     parts = [
         (
             row["scenario"],
@@ -136,7 +136,7 @@ def tables(result: LoopResult) -> list[Table]:
 
 
 def _compared(one: Comparison, against: str | None) -> Table:
-    """A comparison as a table."""
+    """Return a comparison as a table."""
     where = "the same places, to the last bit." if one.same_places else "other places."
     return Table(
         f"{one.scenario} against {against}",

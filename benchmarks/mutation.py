@@ -1,14 +1,14 @@
-"""How many small changes of the code no fast test notices, where the safety of others depends on the code.
+"""Run mutation tests of safety-critical code: count small changes that no fast test notices.
 
-The tree protocol, roles, avoidance, the fusion of goals, the reader of recordings, output folders and the
-live team are changed in one place at a time (a comparison, an operator, a number, a condition), and their
-tests run on each change. A change that they let pass shows what is not tested, or makes no difference.
+Parts are the tree protocol, roles, avoidance, the fusion of goals, the reader of recordings, output folders
+and the live team. Each change alters one comparison, operator, number or condition, and the part's tests run
+on it. A change that passes shows a gap in the tests, or has no effect.
 
     pip install -e '.[test,mutation]'
     python benchmarks/mutation.py --share 0.1            # a tenth of all, drawn from a fixed seed
     python benchmarks/mutation.py --parts roles recording
 
-The changes are made in a copy. It takes some seconds a change.
+The changes are made in a copy. Each takes some seconds.
 """
 
 import argparse
@@ -70,11 +70,11 @@ PARTS = {
 """The parts, by name."""
 
 NO_CHANGES = ("core/RemoveDecorator",)
-"""Kinds of change that are left out: a class without its decorator fails in every test."""
+"""Kinds of change that are excluded: a class without its decorator fails in every test."""
 
 
 def copy_package(folder: Path) -> None:
-    """Copy package and tests into a folder, the mapped folders in their places: changes then hurt nobody."""
+    """Copy package and tests into a folder in the installed layout, so that changes are safe."""
     shutil.copytree(ROOT / "src" / "skyherd", folder / "skyherd")
     for name in ("vision", "control", "render", "datasets"):
         shutil.copytree(ROOT / name, folder / "skyherd" / name)
@@ -83,7 +83,7 @@ def copy_package(folder: Path) -> None:
 
 
 def annotations(tree: ast.Module) -> Iterator[tuple[int, int, int, int]]:
-    """Where types are written, as (line, column) of begin and end: changes there do nothing."""
+    """Yield positions of type annotations, (line, column) of begin and end; changes there have no effect."""
     for node in ast.walk(tree):
         kinds = [getattr(node, name, None) for name in ("annotation", "returns")]
         for kind in kinds:
@@ -92,7 +92,7 @@ def annotations(tree: ast.Module) -> Iterator[tuple[int, int, int, int]]:
 
 
 def counts(folder: Path, change: MutationSpec) -> bool:
-    """Whether a change may change what is done."""
+    """Return whether a change can have an effect."""
     if change.operator_name in NO_CHANGES:
         return False
     at = change.start_pos
@@ -101,7 +101,7 @@ def counts(folder: Path, change: MutationSpec) -> bool:
 
 
 def run_part(name: str, share: float, seed: int, folder: Path) -> tuple[int, list[MutationSpec]]:
-    """Try a share of the changes of one part; how many were tried, and those that nobody noticed."""
+    """Run a share of one part's changes; return how many ran and those that passed unnoticed."""
     part, session = PARTS[name], folder / f"{name}.sqlite"
     files = [
         str(path.relative_to(folder)) for code in part.code for path in sources(folder / "skyherd" / code)
@@ -129,7 +129,7 @@ name = "local"
 
 
 def sources(path: Path) -> list[Path]:
-    """The Python files of a folder but for those that only gather names; or the one file."""
+    """Return one file, or the Python files of a folder except those that only gather names."""
     return sorted(set(path.glob("*.py")) - {path / "__init__.py"}) if path.is_dir() else [path]
 
 

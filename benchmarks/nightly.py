@@ -1,13 +1,15 @@
-"""What the gate has no time for: slow tests, missions at a tenth of their published size, random tests.
+"""Run the tests that are too slow for the gate: slow tests, a tenth of the published missions, random tests.
 
-    python benchmarks/nightly.py                          # all, with seeds of today; hours on two cores
-    python benchmarks/nightly.py --only trees crowds --share 0.02
-    python benchmarks/nightly.py --table docs/nightly.md  # the table put there
-    python benchmarks/nightly.py --only "slow tests of live" --table docs/nightly.md  # that row alone
+```sh
+python benchmarks/nightly.py                          # all, with seeds of today; hours on two cores
+python benchmarks/nightly.py --only trees crowds --share 0.02
+python benchmarks/nightly.py --table docs/nightly.md  # the table put there
+python benchmarks/nightly.py --only "slow tests of live" --table docs/nightly.md  # that row alone
+```
 
-`.ci/nightly` runs it in a fresh environment. Every step that is not what it should be is named at the end,
-and the exit code is 1 then. The seeds of missions and random tests follow from the day (`--day` for another
-one), so that every night sees others, and any night can be had again.
+`.ci/nightly` runs it in a fresh environment. Every failed step is named at the end, and the exit code is 1
+then. The seeds of missions and random tests follow from the day, so that every night has new ones. `--day`
+repeats any night.
 """
 
 import argparse
@@ -112,7 +114,7 @@ TESTS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one step: whether it is as it should be, what to tell of it, and its time, s."""
+    """Outcome of one step: whether it passed, its text, and its time, s."""
 
     name: str
     is_right: bool
@@ -120,7 +122,7 @@ class Outcome:
     took_s: float
 
     def row(self, date: datetime.date) -> str:
-        """The step's row of the table, with the date of the night."""
+        """Return the step's row of the table, with the date of the night."""
         verdict, told = "yes" if self.is_right else "**no**", self.told.replace("|", "\\|")
         cells = (self.name, date.isoformat(), verdict, f"{self.took_s / 60:.1f}", told)
         return f"| {' | '.join(cells)} |"

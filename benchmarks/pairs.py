@@ -1,13 +1,13 @@
-"""What the choice of the shared pairs alone does: the star under a path of three units, all else the same.
+"""Measure the effect of the choice of shared pairs: the star under a path of three units.
 
     export OPENBLAS_NUM_THREADS=1
     python benchmarks/pairs.py                  # fifty starts
 
-Each robot belongs to the unit nearest to it that sees it, and neighbours share two of those that both see:
-the two nearest to the middle unit's image centre (the paper's), the two widest apart in the template, or
-those with the fastest slowest mode of all choices (leverage). Robots are points without limits under the
-paper's law, so that `p(t) = exp(-k L t) p(0)` is exact; time to a shape error of 1 % at k = 0.5 /s. What a
-mission makes of it, with units that grow their own sets, `benchmarks/topology.py --start star` tells.
+Each robot belongs to the nearest unit that sees it. Neighbours share two of the robots that both see: the two
+nearest to the middle unit's image centre (the paper's rule), the two farthest apart in the template, or the
+pair with the fastest slowest mode (leverage). Robots are points without limits under the paper's law, so that
+`p(t) = exp(-k L t) p(0)` is exact. The result is the time to a shape error of 1 % at k = 0.5 /s.
+`benchmarks/topology.py --start star` measures whole missions, in which units grow their own sets.
 """
 
 import argparse
@@ -30,7 +30,7 @@ Pair = tuple[int, int]
 
 
 def seen_by(mission: Mission) -> BoolArray:
-    """(units, robots) which robots lie in whose image at the start."""
+    """Return (units, robots) whether a robot lies in a unit's image at the start."""
     world = make_world(mission)
     looks = []
     for unit, camera in enumerate(world.cameras):
@@ -40,7 +40,7 @@ def seen_by(mission: Mission) -> BoolArray:
 
 
 def control_sets(owners: IntArray, pairs: Sequence[Pair]) -> list[IntArray]:
-    """Rows of the robots of each unit of a path: its own, and those that it shares with the next ones."""
+    """Return a row for each unit of a path: its own robots, and those shared with the next unit."""
     shared = {row for pair in pairs for row in pair}
     own = [set(np.flatnonzero(owners == unit).tolist()) - shared for unit in range(len(pairs) + 1)]
     ends = [(), *pairs, ()]
@@ -48,7 +48,7 @@ def control_sets(owners: IntArray, pairs: Sequence[Pair]) -> list[IntArray]:
 
 
 def time_to_goal_s(points: ComplexArray, positions: ComplexArray, sets: Sequence[IntArray]) -> float:
-    """When the shape error is `GOAL`; it falls from mode to mode, and for good."""
+    """Return the time when the shape error stays below `GOAL`, s; it decays mode by mode."""
     rates, modes = np.linalg.eigh(laplacian(points, sets))
     shares = modes.conj().T @ positions
 
@@ -59,18 +59,18 @@ def time_to_goal_s(points: ComplexArray, positions: ComplexArray, sets: Sequence
 
 
 def nearest(robots: IntArray, distances: Array) -> Pair:
-    """The two of the robots that are nearest to a place."""
+    """Return the two robots nearest to a place."""
     first, second = robots[np.argsort(distances[robots], kind="stable")[:2]].tolist()
     return first, second
 
 
 def widest(robots: IntArray, points: ComplexArray) -> Pair:
-    """The two of the robots that are farthest apart in the template."""
+    """Return the two robots farthest apart in the template."""
     return max(combinations(robots.tolist(), 2), key=lambda pair: abs(points[pair[0]] - points[pair[1]]))
 
 
 def choose(mission: Mission) -> dict[str, float]:
-    """Time to the goal, s, of one start by each rule."""
+    """Return the time to the goal of one start by each rule, s."""
     positions = to_complex(mission.positions_m)
     points = mission.template.points_of(mission.ids).conj()
     places = np.array([complex(*unit.position_m) for unit in mission.scenario.units])
@@ -95,7 +95,7 @@ def choose(mission: Mission) -> dict[str, float]:
 
 
 def main() -> None:
-    """Command line."""
+    """Read the command line, run the starts and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--missions", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0, help="of the first start")

@@ -1,18 +1,20 @@
-"""The paper's two simulation figures (TCST 2019), panel by panel: every published number beside ours.
+"""Compare the paper's two simulation figures (TCST 2019) with ours, panel by panel.
 
-    export OPENBLAS_NUM_THREADS=1
-    python benchmarks/paper_figures.py            # prints the tables, draws nothing
-    python benchmarks/paper_figures.py --write    # and puts them into docs/paper.md, with the pictures
+```sh
+export OPENBLAS_NUM_THREADS=1
+python benchmarks/paper_figures.py            # prints the tables, draws nothing
+python benchmarks/paper_figures.py --write    # and puts them into docs/paper.md, with the pictures
+```
 
-The runs are of exact image points, from the published starts, and take half a minute. What is published is
-read off the plots (`benchmarks/paper_figures.toml`).
+The runs use exact image points and the published starts, and take half a minute. Published values are read
+off the plots (`benchmarks/paper_figures.toml`).
 
 - *Fig. 4*, the triangle, at the paper's pace: k = 0.0125 /s is the gain at which the fastest robot drives as
   in the published plot, just below 0.05 m/s. It is the built-in scenario at an eighth of its speed.
-- *Fig. 5*, the star, from the published places and heights of the cameras. Which robots each unit controls at
-  the start is not published, but for that they are those nearer to the image centre than a threshold. One
-  threshold, 0.7565 of the half view, and the heights in the order 12.4, 15.8, 15.3 m give sets of 7, 9 and 6
-  robots and the published V. Run twice: by that threshold throughout, and by the protocol that keeps TC1-TC5.
+- *Fig. 5*, the star, from the published places and heights of the cameras. The initial control sets are not
+  published, except that they are the robots nearer to the image centre than a threshold. One threshold,
+  0.7565 of the half view, and the heights in the order 12.4, 15.8, 15.3 m give sets of 7, 9 and 6 robots and
+  the published V. There are two runs: by that threshold, and by the protocol that keeps TC1-TC5.
 """
 
 import argparse
@@ -35,7 +37,7 @@ BEGIN, END = "<!-- panels: begin -->", "<!-- panels: end -->"
 PUBLISHED: dict[str, Any] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 
 PACE = 8
-"""How many times slower than the built-in triangle the paper's robots are. Derived: see the gain above."""
+"""Speed of the built-in triangle over that of the paper's robots. Derived from the gain above."""
 
 THRESHOLD = 0.7565
 """Safety radius of Fig. 5, in halves of the view. Derived: 0.755 to 0.758 give V = 197.9 m² at the start."""
@@ -49,7 +51,7 @@ BETWEEN = " / "
 
 
 class Row(NamedTuple):
-    """A number of a panel: what is published, what came out here, and why they differ if they do."""
+    """A number of a panel: the published value, ours, and the reason for a difference."""
 
     panel: str
     published: str
@@ -58,7 +60,7 @@ class Row(NamedTuple):
 
 
 def figure4_mission() -> Mission:
-    """The triangle at the paper's pace, for as long as the camera's turn was plotted."""
+    """Return the triangle at the paper's speed, for as long as the camera's rotation was plotted."""
     published, step_s = PUBLISHED["figure4"], 0.4
     turn_degps = published["camera_turn_deg"] / published["turn_s"]
     flight = {"speed_mps": 0.25, "climb_gain_mps": 2.0, "lateral_gain_mps": 4.0}
@@ -80,7 +82,7 @@ def figure4_mission() -> Mission:
 
 
 def figure5_mission(kind: str) -> Mission:
-    """The star from the published start, by the safety radius or by the protocol (`tree`)."""
+    """Return the star from the published start, by the safety radius or by the protocol (`tree`)."""
     settings = [
         "perception=ideal",
         "duration_s=150",
@@ -97,17 +99,17 @@ def figure5_mission(kind: str) -> Mission:
 
 
 def run(mission: Mission) -> History:
-    """A mission from start to finish."""
+    """Run a mission from start to finish and return its steps."""
     return make_history(mission, run_steps(mission))
 
 
 def at(history: History, time_s: float) -> int:
-    """The step at a time."""
+    """Return the step at a time."""
     return int(np.searchsorted(history.times_s, time_s - 1e-9))
 
 
 def figure4_rows(history: History) -> list[Row]:
-    """The table of Fig. 4."""
+    """Return the rows of Fig. 4."""
     told = PUBLISHED["figure4"]
     ends_m = np.linalg.norm(history.positions_m[-1] - np.array(told["final_positions_m"]), axis=1)
     camera, middle = to_complex(history.unit_positions_m[:, 0]), to_complex(history.positions_m).mean(axis=1)
@@ -167,18 +169,18 @@ def figure4_rows(history: History) -> list[Row]:
 
 
 def both_ways(form: str, values: Iterable[Any]) -> str:
-    """A text for each of the two runs of Fig. 5, or one if it is the same."""
+    """Return a text for each of the two runs of Fig. 5, or one if both are equal."""
     texts = dict.fromkeys(form.format(value) for value in values)
     return BETWEEN.join(texts)
 
 
 def listed(values: Iterable[float], digits: int = 1) -> str:
-    """Numbers in a row."""
+    """Return numbers in a row."""
     return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
 def robot_rows(runs: tuple[History, History]) -> list[Row]:
-    """The panels of Fig. 5 that are of the robots."""
+    """Return the rows of the robot panels of Fig. 5."""
     fastest = [np.abs(each.v_mps).max() for each in runs]
     quickest = [np.abs(each.omega_radps).max() for each in runs]
     scales = [
@@ -211,12 +213,12 @@ def robot_rows(runs: tuple[History, History]) -> list[Row]:
 
 
 def end_errors(runs: tuple[History, History]) -> list[float]:
-    """Shape errors at the end."""
+    """Return the shape errors at the end."""
     return [float(each.shape_error[-1]) for each in runs]
 
 
 def topology_rows(runs: tuple[History, History]) -> list[Row]:
-    """V of Fig. 5, and what changes it."""
+    """Return the rows of V, the Lyapunov function, in Fig. 5, and of the changes of the topology."""
     sets = ", ".join(str(count) for count in runs[0].controlled[0].sum(axis=1))
     switches = [(each.controlled[1:] != each.controlled[:-1]).any(axis=(1, 2)).sum() for each in runs]
     dwell = [estimate_dwell_time(each) for each in runs]
@@ -239,7 +241,7 @@ def topology_rows(runs: tuple[History, History]) -> list[Row]:
 
 
 def camera_rows(runs: tuple[History, History]) -> list[Row]:
-    """The panels of Fig. 5 that are of the cameras."""
+    """Return the rows of the camera panels of Fig. 5."""
     told = PUBLISHED["figure5"]
     speeds = [paper_panels.camera_speeds_mps(each)[-1].max() for each in runs]
     turned_deg = [np.degrees(np.ptp(each.yaws_rad, axis=0)).max() for each in runs]
@@ -263,7 +265,7 @@ def camera_rows(runs: tuple[History, History]) -> list[Row]:
 
 
 def figure5_rows(radius: History, tree: History) -> list[Row]:
-    """The table of Fig. 5: by the safety radius, and by the protocol."""
+    """Return the rows of Fig. 5: by the safety radius, and by the protocol."""
     runs = radius, tree
     return [*robot_rows(runs), *topology_rows(runs), *camera_rows(runs)]
 
@@ -289,7 +291,7 @@ def table_both_ways(rows: list[Row]) -> str:
 
 
 def page(figure4: History, radius: History, tree: History) -> str:
-    """The part of docs/paper.md on both figures."""
+    """Return the part of docs/paper.md on both figures."""
     return f"""\
 ### Fig. 4: one camera, six robots
 
@@ -308,7 +310,7 @@ The [topology page](topology.md#the-papers-star) has the panels of the protocol.
 
 
 def main() -> None:
-    """Command line."""
+    """Read the command line, run the figures and print the tables."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

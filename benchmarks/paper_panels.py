@@ -1,6 +1,6 @@
-"""The panels of the paper's two simulation figures, in the paper's order, drawn of runs of ours.
+"""The panels of the paper's two simulation figures, in the paper's order, drawn from our runs.
 
-`benchmarks/paper_figures.py` makes the runs. What is published as a number is drawn dotted, or as crosses.
+`benchmarks/paper_figures.py` makes the runs. Published numbers are dotted lines or crosses.
 """
 
 from pathlib import Path
@@ -22,14 +22,14 @@ from skyherd.plots.style import drawing_style, robot_colors, use_log_scale
 
 DPI = 90
 COLORS = 128
-"""Colours of a picture's palette: the files are then a third as large, and lines look the same."""
+"""Number of colours of a picture's palette. Chosen: files are a third as large, and lines look the same."""
 
 PUBLISHED: dict[str, Any] = {"color": WARNING, "linestyle": ":", "linewidth": 1.3}
-"""Style of what is published."""
+"""Style of published values."""
 
 
 def figure4(history: History, published: dict[str, Any], path: Path) -> None:
-    """The one-camera figure: five rows, of which the first is the ground."""
+    """Draw the one-camera figure of five rows; the first shows the ground."""
     with drawing_style():
         figure = Figure(figsize=(9.6, 14.0), layout="constrained")
         grid = figure.add_gridspec(5, 2, height_ratios=[1.9, 1, 1.35, 1, 1])
@@ -58,7 +58,7 @@ def figure4(history: History, published: dict[str, Any], path: Path) -> None:
 
 
 def figure5(history: History, published: dict[str, Any], path: Path) -> None:
-    """The three-camera figure: ground and four curves, images, three curves."""
+    """Draw the three-camera figure: ground and four curves, images, three curves."""
     with drawing_style():
         figure = Figure(figsize=(13.0, 13.0), layout="constrained")
         rows = figure.subfigures(3, 1, height_ratios=[1.9, 1.2, 1])
@@ -85,7 +85,7 @@ def figure5(history: History, published: dict[str, Any], path: Path) -> None:
 
 
 def draw_ground(axes: Axes, history: History) -> None:
-    """Ways of the robots, ends joined by dashes; ways of the cameras, and circles for what they see last."""
+    """Draw paths of robots and cameras, the final formation dashed, and the final fields of view."""
     places = to_complex(history.positions_m)
     lines = axes.plot(places.real, places.imag, color=INK, alpha=0.45, linewidth=0.9)
     lines[0].set_label("robots")
@@ -104,7 +104,7 @@ def draw_ground(axes: Axes, history: History) -> None:
 
 
 def draw_velocities(pair: list[Axes], history: History) -> None:
-    """Forward speeds and turn rates of all robots."""
+    """Draw forward speeds and turn rates of all robots."""
     told = (history.v_mps, "linear velocity (m/s)"), (history.omega_radps, "angular velocity (rad/s)")
     for axes, (values, label) in zip(pair, told, strict=True):
         for column, color in zip(values.T, robot_colors(history.ids.size), strict=True):
@@ -113,7 +113,7 @@ def draw_velocities(pair: list[Axes], history: History) -> None:
 
 
 def draw_fits(pair: list[Axes], history: History) -> None:
-    """Scale and rotation of each unit's part of the formation."""
+    """Draw scale and rotation of each unit's part of the formation."""
     draw_units(pair[0], history.times_s, history.scales, "scale (m / template unit)")
     whole = unwrap(history.shape_rotation_rad)
     parts = whole[:, None] + np.angle(np.exp(1j * (history.rotations_rad - whole[:, None])))
@@ -121,7 +121,7 @@ def draw_fits(pair: list[Axes], history: History) -> None:
 
 
 def draw_cost(axes: Axes, history: History, published_m2: float) -> None:
-    """V, and each unit's share if there are several, on a logarithmic axis; the cross is V as published."""
+    """Draw V and each unit's share on a logarithmic axis; the cross is the published V."""
     axes.plot(history.times_s, history.V, color=INK, linewidth=2.2, label="V")
     if history.V_units.shape[1] > 1:
         for unit, column in enumerate(history.V_units.T):
@@ -134,7 +134,7 @@ def draw_cost(axes: Axes, history: History, published_m2: float) -> None:
 
 
 def draw_trace(axes: Axes, history: History, unit: int) -> None:
-    """What a camera saw of the robots that its unit controlled: squares at first, circles at last."""
+    """Draw image paths of the robots that a unit controlled: squares at the start, circles at the end."""
     width, height = history.mission.scenario.units[unit].camera.size_px
     points, color = history.traces[unit].points_px, unit_color(unit)
     axes.plot(points.real, points.imag, color=color, linewidth=0.9, alpha=0.6)
@@ -150,7 +150,7 @@ def draw_trace(axes: Axes, history: History, unit: int) -> None:
 
 
 def draw_template(axes: Axes, history: History) -> None:
-    """The shape that is asked for, as an image."""
+    """Draw the desired shape as an image."""
     draw_outline(axes, history.shape.points_of(history.ids), history, TEMPLATE_COLOR)
     axes.set(aspect="equal", title="template", xlabel="u (template units)")
     axes.invert_yaxis()
@@ -159,7 +159,7 @@ def draw_template(axes: Axes, history: History) -> None:
 def draw_outline(
     axes: Axes, points: ComplexArray, history: History, color: str, *, marks: bool = True
 ) -> None:
-    """Points (N,) of the robots that have one, joined in the order that outlines their part of the shape."""
+    """Join points (N,) of the present robots in the order that outlines their part of the shape."""
     there = np.isfinite(points)
     order = np.flatnonzero(there)[formation_order(history.shape.points_of(history.ids)[there])]
     closed = points[np.append(order, order[:1])]
@@ -169,14 +169,14 @@ def draw_outline(
 
 
 def draw_units(axes: Axes, times_s: Array, values: Array, label: str) -> None:
-    """Values (T, U) over time, each unit in its colour."""
+    """Draw values (T, U) over time, each unit in its colour."""
     for unit, column in enumerate(values.T):
         axes.plot(times_s, column, color=unit_color(unit), label=f"unit {unit}")
     over_time(axes, label)
 
 
 def over_time(axes: Axes, label: str) -> None:
-    """Labels, and no room beside the first and the last instant."""
+    """Label the axes, without margins before the first and after the last instant."""
     axes.set(xlabel="time (s)", title=label)
     axes.set_xlim(0.0, max(float(np.max(line.get_xdata())) for line in axes.lines))
 

@@ -3,8 +3,8 @@
     python benchmarks/peer_biases.py            # print them, by side and over all
     python benchmarks/peer_biases.py --write    # and store them where the package reads them
 
-Position: the mean of u and v, which do not differ. Side: it depends a little on the side, most with SUBPIX,
-so that the constant is the mean over the sides given here.
+The position bias is the mean of u and v, which are equal. The side bias depends a little on the side, most
+with SUBPIX. Its constant is the mean over the sides of this script.
 """
 
 import argparse
@@ -24,7 +24,7 @@ TABLE = Path(__file__).parent.parent / "vision" / "detectors" / "peer_biases.tom
 
 
 def measure(name: str, side_px: float, frames: int, seed: int) -> tuple[float, float, int]:
-    """Mean error of u and v, mean error of the side, and the number of markers found."""
+    """Return the mean error of u and v, the mean error of the side, and the number of markers found."""
     dictionary = dictionary_for(name, DEFAULT_DICTIONARY)
     detector = PeerDetector(name, dictionary, corrected=False)
     shifts, grows = [], []

@@ -1,11 +1,10 @@
-"""Where the time of a photograph goes: finding quadrilaterals, reading pixels, and the rest of the fits.
+"""Profile the detector on photographs: finding quadrilaterals, reading pixels, and the rest of the fits.
 
     python benchmarks/photograph_stages.py FOLDER --sets benchmarks/photographs.toml
 
-All are times of one thread in the median of a set's images, each taken as the first that the detector ever
-sees, over the time of OpenCV's default detector for the same image. The search alone is a bound on how fast a
-detector with these two looks can be; the reading of pixels, in which markers are drawn and compared, one on
-what the fits need.
+Times are of one thread, relative to OpenCV's default detector on the same image, and medians over a set's
+images. Each image is the first that its detector sees. The search alone bounds the speed of a detector with
+these two searches. The reading of pixels, in which markers are drawn and compared, bounds that of the fits.
 """
 
 import argparse
@@ -32,7 +31,7 @@ STAGES: Stages = {
     "second search": [(look, "find_overlooked_quads")],
     "pixels": [(fit.PixelSamples, "read")],
 }
-"""What is timed by itself."""
+"""Stages that are timed separately."""
 
 
 class Stopwatch:

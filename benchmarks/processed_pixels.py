@@ -1,4 +1,4 @@
-"""Measure detectors through what lenses and processing of cameras do, and print a table.
+"""Measure detectors under the lens and processing stages of cameras, and print a table.
 
     python benchmarks/processed_pixels.py [DETECTOR,...]
 

@@ -1,16 +1,21 @@
-"""What self-rectification reaches: rendered flights under random cameras, with and without it.
+"""Measure self-rectification: rendered flights under random cameras, with and without it.
 
     python benchmarks/rectification.py                    # Markdown tables on stdout
     python benchmarks/rectification.py --runs 10 --part any
     python benchmarks/rectification.py --part cost
 
-Parts: `any`, cameras drawn at random, tilted, oblong, skew and distorting, and drawn again where the lens
-would fold within the image, which no camera's does; `cameras`, each of the test cameras by name, tilted, and
-tilted and swaying; `ideal`, where it must not hurt; `cost`, beside the detector's on the same images. One
-unit hovers over 3, 6 or 16 robots that never stop (`b_th = 0`); shape errors are means over the last
-`--average` seconds. `NEES` is of the rectified centres, over their covariance, against the true camera's map,
-both but for a similarity of all centres, which no goal depends on; 1 is honest. Every flight is kept in
-`--out` under the hash of its mission, and the same command goes on from there.
+Parts:
+
+- `any`: random cameras with tilt, non-square pixels, skew and distortion. A camera whose lens would fold
+  within the image is redrawn.
+- `cameras`: each test camera by name, tilted, and tilted and swaying.
+- `ideal`: an ideal camera, on which rectification must do no harm.
+- `cost`: time beside the detector's on the same images.
+
+One unit hovers over 3, 6 or 16 robots that never stop (`b_th = 0`). Shape errors are means over the last
+`--average` seconds. `NEES` compares the errors of the rectified centres under the true camera map with their
+covariance, up to a similarity of all centres, on which no goal depends; its expected value is 1. Every flight
+is kept in `--out` under the hash of its mission, and the same command resumes.
 """
 
 import argparse
@@ -46,22 +51,22 @@ SIZE_PX = 800
 HEIGHT_M = 12.0
 TRIPLE = [[0.0, 0.0], [1.0, 0.0], [0.3, 0.8]]
 FLIGHT_S = 8.0
-"""At gains of 1.2 /s, ten time constants: what is left of the start is a share of 1e-4."""
+"""Duration of a flight, s. Derived: at gains of 1.2 /s, ten time constants leave a share of 1e-4."""
 
 NEES_AT_S = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-"""Instants whose rectified points are held against the truth."""
+"""Times at which rectified points are compared with ground truth, s."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One flight: shape error averaged over its end, and the NEES of its rectified centres, if any."""
+    """One flight: mean shape error over its end, and the NEES of its rectified centres, if any."""
 
     shape_error: float
     nees: float
 
 
 def template_points(robots: int) -> Array:
-    """The built-in shapes of six and sixteen robots, or three points; RMS radius 1."""
+    """Return the built-in shapes of six and sixteen robots, or three points, with RMS radius 1."""
     names = {6: "triangle", 16: "star"}
     points = np.array(
         load_mission(names[robots]).scenario.template.points if robots in names else TRIPLE, dtype=float
@@ -71,7 +76,7 @@ def template_points(robots: int) -> Array:
 
 
 def random_unit(rng: np.random.Generator, *, ideal: bool) -> dict[str, Any]:
-    """A unit that hovers, its image's centre over the ground's origin."""
+    """Return a hovering unit with its image centre over the ground's origin."""
     focal_px = float(SIZE_PX / 2 / np.tan(np.radians(rng.uniform(22, 40))))
     model: dict[str, Any] = {"size_px": (SIZE_PX, SIZE_PX), "focal_px": focal_px}
     yaw_deg, tilt_deg = float(rng.uniform(-180, 180)), np.zeros(2)
@@ -95,7 +100,7 @@ def random_unit(rng: np.random.Generator, *, ideal: bool) -> dict[str, Any]:
 
 
 def scenario_tree(robots: int, rng: np.random.Generator, *, ideal: bool) -> dict[str, Any]:
-    """A flight from a random start, all robots in view, seen by a random camera; markers of 16 to 30 px."""
+    """Return a flight from a random start in view of a random camera, with markers of 16 to 30 px."""
     unit, points = random_unit(rng, ideal=ideal), template_points(robots)
     metre_px = unit["camera"]["focal_px"] / HEIGHT_M
     scale_m = 0.55 * SIZE_PX / 2 / metre_px / np.linalg.norm(points, axis=1).max()
@@ -106,7 +111,7 @@ def scenario_tree(robots: int, rng: np.random.Generator, *, ideal: bool) -> dict
 def flight_tree(
     points: Array, scale_m: float, side_m: float, unit: dict[str, Any], seed: int
 ) -> dict[str, Any]:
-    """A flight over plain ground; the shape's RMS radius is `scale_m`, neighbours keep apart."""
+    """Return a flight over plain ground with avoidance; the shape's RMS radius is `scale_m`."""
     scatter = {"scale_m": scale_m, "jitter_m": 0.15 * scale_m, "spacing_m": 1.6 * side_m}
     return {
         "name": "rectification",
@@ -123,14 +128,13 @@ def flight_tree(
 
 
 REDRAWN: Counter[str] = Counter()
-"""Why cameras of this call were drawn again, and how often."""
+"""Number of redrawn cameras of this call, by reason."""
 
 
 def draw_mission(robots: int, seed: int, *, ideal: bool, rectify: bool, duration_s: float) -> Mission:
-    """The mission of a seed: the first draw whose lens makes an image that has all robots in it.
+    """Return the mission of a seed: the first draw with an invertible lens and all robots in view.
 
-    `REDRAWN` counts the draws before it: lenses that fold within the image, which no camera has, and images
-    that cut a robot off.
+    `REDRAWN` counts the rejected draws: lenses that fold within the image, and images that cut a robot off.
     """
     rng = np.random.default_rng([seed, robots])
     while True:
@@ -151,7 +155,7 @@ def draw_mission(robots: int, seed: int, *, ideal: bool, rectify: bool, duration
 def camera_mission(
     name: str, robots: int, seed: int, *, sway_deg: float, rectify: bool, duration_s: float
 ) -> Mission:
-    """A flight under a test camera by name, tilted by 10 degrees, markers of 16 px at the least.
+    """Return a flight under a named test camera, tilted by 10 degrees, with markers of at least 16 px.
 
     The formation fills 0.55 of what the image shows in its narrowest direction; a zoom lens zooms in by a
     third, and back.
@@ -203,7 +207,7 @@ def fly(mission: Mission, average_s: float) -> Outcome:
 
 
 class Flights:
-    """Flights by the hash of their missions: those in a file, and those flown now and added to it."""
+    """Flights by the hash of their missions, read from a file or flown and appended to it."""
 
     def __init__(self, path: Path, pool: ProcessPoolExecutor, average_s: float) -> None:
         self.path, self.pool, self.average_s = path, pool, average_s
@@ -211,7 +215,7 @@ class Flights:
         self._known = {row["key"]: Outcome(**row["outcome"]) for row in map(json.loads, lines)}
 
     def __call__(self, missions: Sequence[Mission]) -> list[Outcome]:
-        """Outcomes of missions, in their order."""
+        """Return the outcomes of missions, in their order."""
         keys = [f"{mission_key(mission)}-{self.average_s:g}" for mission in missions]
         new = {key: m for key, m in zip(keys, missions, strict=True) if key not in self._known}
         done = self.pool.map(partial(fly, average_s=self.average_s), new.values())
@@ -225,16 +229,16 @@ class Flights:
 
 
 def true_errors(step: Step, seen: Detections, camera: Camera, pose: CameraPose) -> Array:
-    """Errors (N, 2) of the rectified centres, px."""
+    """Return errors (N, 2) of the rectified centres, px."""
     true_image = to_points(true_centers(step, seen, camera, pose))
     size = seen.image_size_px
     return np.asarray(seen.centers_px - (true_image * size.min() / 2 + (size - 1) / 2))
 
 
 def nees(error: Array, seen: Detections) -> float:
-    """Mean square of errors (N, 2) over the covariances that were told, a degree of freedom.
+    """Return the mean square of errors (N, 2) over the reported covariances, per degree of freedom.
 
-    Both but for a similarity of all centres, which takes four of them.
+    Both are taken up to a similarity of all centres, which removes four degrees of freedom.
     """
     z, off = (to_complex(each - each.mean(axis=0)) for each in (seen.centers_px, error))
     left = to_points(off - z * (np.vdot(z, off) / np.vdot(z, z)))
@@ -243,9 +247,9 @@ def nees(error: Array, seen: Detections) -> float:
 
 
 def true_centers(step: Step, seen: Detections, camera: Camera, pose: CameraPose) -> ComplexArray:
-    """Where an ideal camera would see the robots (N,), by the true camera's map alone.
+    """Return the robots' points (N,) in an ideal camera, from the true camera map.
 
-    The ground from the image's centre, turned and scaled as `skyherd.control.rectification.ground_map` says.
+    The ground is centred, rotated and scaled as in `skyherd.control.rectification.ground_map`.
     """
     ground_image, size = inverse(homography_image_ground(camera, pose)), np.array(camera.size_px)
 
@@ -263,7 +267,7 @@ def true_centers(step: Step, seen: Detections, camera: Camera, pose: CameraPose)
 
 
 def print_row(flown: Sequence[Outcome], *names: object) -> None:
-    """Median, 90 %, worst and NEES of some flights."""
+    """Print median, 90 % quantile, maximum and NEES of some flights."""
     errors, told = np.array([(flight.shape_error, flight.nees) for flight in flown]).T
     honest = "" if np.isnan(told).all() else f"{np.mean(told):.2f} / {np.median(told):.2f}"
     spread = " | ".join(f"{value:.2e}" for value in (*np.quantile(errors, (0.5, 0.9)), errors.max()))
@@ -316,7 +320,7 @@ def print_ideal(flights: Flights, runs: int) -> None:
 
 
 def print_cost(seconds: float) -> None:
-    """Times of detector and rectifier on the same images, from the second second on."""
+    """Print times of detector and rectifier on the same images, from 1 s on."""
     cv2.setNumThreads(1)
     mission = draw_mission(16, 0, ideal=False, rectify=True, duration_s=seconds)
     perception = RenderedPerception(mission, np.random.default_rng(0))

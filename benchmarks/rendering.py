@@ -1,12 +1,11 @@
-"""Time of a rendered frame, as a ratio to one warp of a full 8-bit frame in the same run.
+"""Measure the time of a rendered frame, relative to one warp of a full 8-bit frame in the same run.
 
     python benchmarks/rendering.py            # table on stdout
     python benchmarks/rendering.py --quick
 
-Sixteen markers of 30 px, noise 2 and blur 0.8 px, over textured ground; one thread; medians and, for busy
-machines, best times. `fixed` is a camera that stands still over robots that move. The unit is one
-`cv2.warpPerspective` of a frame of the same size, timed between the frames, so that whatever slows the
-machine slows both.
+Frames show sixteen markers of 30 px, noise 2 and blur 0.8 px, over textured ground, on one thread. Times are
+medians and, for busy machines, minima. `fixed` is a fixed camera over moving robots. The unit is one
+`cv2.warpPerspective` of a frame of the same size, timed between the frames, so that other load affects both.
 """
 
 import argparse
@@ -37,7 +36,7 @@ DrawFrame = Callable[[int], object]
 
 
 def scene(size_px: tuple[int, int], frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (F, N, 2) on a jittered grid in view, in sides, and headings (F, N); both drift."""
+    """Return drifting positions (F, N, 2) on a jittered grid, in sides, and headings (F, N)."""
     rng = np.random.default_rng(1)
     cells = np.stack(np.meshgrid(np.arange(4) - 1.5, np.arange(4) - 1.5), axis=-1).reshape(-1, 2)
     room = np.array(size_px) / SIDE_PX / 4.6
@@ -48,13 +47,13 @@ def scene(size_px: tuple[int, int], frames: int) -> tuple[np.ndarray, np.ndarray
 
 
 def pose_at(frame: int, *, moves: bool = True, tilt_deg: float = 0.0) -> CameraPose:
-    """A camera that flies along and turns a little with each frame, or does not."""
+    """Return the pose of a camera that moves and turns a little with each frame, or stands still."""
     step = 0.02 * frame if moves else 0.0
     return CameraPose((step, -0.7 * step), HEIGHT_M + 0.1 * step, 0.05 * step, (np.radians(tilt_deg), 0.0))
 
 
 def make_frames(size_px: tuple[int, int], frames: int) -> dict[str, DrawFrame]:
-    """What is timed, by name: each draws the frame of a number."""
+    """Return the timed functions by name; each draws the frame of a number."""
     positions, headings = scene(size_px, frames)
     ids = np.arange(MARKERS)
     plain = Camera(size_px, focal_px=HEIGHT_M * SIDE_PX)
@@ -96,7 +95,7 @@ def make_frames(size_px: tuple[int, int], frames: int) -> dict[str, DrawFrame]:
 
 
 def measure(size_px: tuple[int, int], frames: int) -> dict[str, list[float]]:
-    """Seconds of each frame of each kind, taken in turn."""
+    """Return the duration of each frame of each kind, measured in alternation, s."""
     timed = make_frames(size_px, frames)
     spent: dict[str, list[float]] = {name: [] for name in timed}
     for number in range(frames):

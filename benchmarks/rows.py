@@ -1,4 +1,4 @@
-"""Rows of a benchmark over many seeds: run in parallel, written as they end, and gone on with."""
+"""Rows of a benchmark over many seeds: run in parallel, written as they end, and resumed."""
 
 import json
 import sys
@@ -13,7 +13,7 @@ Row = dict[str, Any]
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Rows of a file; an unfinished last line is left out."""
+    """Return the rows of a file, without an unfinished last line."""
     rows = []
     for line in path.read_text().splitlines() if path.exists() else []:
         try:
@@ -24,7 +24,7 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def gather(run: Callable[[int], Row], seeds: range, jobs: int, path: Path | None) -> list[Row]:
-    """All rows of `seeds`: those in the file, and the others as they end, printed and added to it."""
+    """Return all rows of `seeds`: those of the file, and the missing ones as they end."""
     rows = [row for row in read_rows(path) if row["seed"] in seeds] if path else []
     done = {row["seed"] for row in rows}
     if path and path.exists():

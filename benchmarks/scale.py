@@ -1,4 +1,4 @@
-"""What a unit's control step costs, and how the loop's time grows with the team.
+"""Measure the time of a unit's control step, and the growth of the loop's time with the team.
 
     export OPENBLAS_NUM_THREADS=1
     python benchmarks/scale.py                                # 60 to 1000 robots; JSON, and docs/scale.png
@@ -6,12 +6,13 @@
 
 *Step*: the control step of one unit with 50 robots, two of them shared with a neighbour under the tree
 protocol, over a least-squares similarity of 50 points in NumPy. Each is called once an image, so that both
-find the processor's caches as the rest of an image leaves them; medians.
+find equal cache contents. Times are medians.
 
 *Swarm*: units on a lattice, ten robots each, ideal perception, radio to the neighbours only, 5 images a
 second and a world step of 0.1 s. Steps are timed once the tree is ready and robots move, as processor time
 of the one thread; `fit_us` is the similarity's time in between, by which runs on other or busier machines
-compare. `joined_s` is when all units were one tree inside P, `reached_s` when the shape error fell below 1 %.
+compare. `joined_s` is the time when all units were one tree inside P. `reached_s` is the time when the shape
+error fell below 1 %.
 """
 
 import argparse
@@ -37,14 +38,14 @@ FIGURE = Path(__file__).parent.parent / "docs" / "scale.png"
 UNITS = (6, 12, 25, 50, 100)
 PITCH_M = 6.0
 CELL = np.array([(x, y) for y, row in ((-2, 3), (0, 4), (2, 3)) for x in np.linspace(-2.2, 2.2, row)])
-"""Ten robots under a unit, m."""
+"""Positions of the ten robots of a unit, m. Chosen."""
 
 GOAL = 0.01
 TIMED_S = 20.0
 
 
 def swarm(units: int, seed: int = 0) -> dict[str, Any]:
-    """A scenario: units in rows and columns, ten robots under each, a shape that is half a metre off."""
+    """Return a scenario of units in rows and columns, ten robots each, 0.5 m off the shape."""
     rng = np.random.default_rng([seed, 74])
     wide = int(np.ceil(np.sqrt(units)))
     centers = PITCH_M * np.array([(unit % wide, unit // wide) for unit in range(units)], dtype=float)
@@ -83,21 +84,21 @@ def swarm(units: int, seed: int = 0) -> dict[str, Any]:
 
 
 def timed(call: Callable[[], Any]) -> float:
-    """Seconds that one call takes."""
+    """Return the duration of one call, s."""
     started = perf_counter()
     call()
     return perf_counter() - started
 
 
 def make_fit(count: int = 50) -> Callable[[], Any]:
-    """One least-squares similarity of points."""
+    """Return a function that fits one least-squares similarity of points."""
     rng = np.random.default_rng(0)
     template, current = (rng.normal(size=count) + 1j * rng.normal(size=count) for _ in range(2))
     return lambda: fit_similarity(template, current)
 
 
 def measure_step(images: int = 400, robots: int = 50) -> dict[str, float]:
-    """Two units that share a pair; the first one's steps are timed, every other image."""
+    """Time the steps of one of two units that share a pair, on every other image."""
     rng = np.random.default_rng(0)
     points = rng.uniform(50, 950, (2 * robots - 6, 2))
     template = Template.from_image_points(np.arange(len(points)), points + rng.normal(0, 5, points.shape))
@@ -129,7 +130,7 @@ def measure_step(images: int = 400, robots: int = 50) -> dict[str, float]:
 
 
 def see(unit: int, time_s: float, ids: Any, centers_px: Any) -> Detections:
-    """An image with robots at given points."""
+    """Return an image with robots at given points."""
     count = len(ids)
     return Detections(
         unit_id=unit,
@@ -145,7 +146,7 @@ def see(unit: int, time_s: float, ids: Any, centers_px: Any) -> Detections:
 
 
 def is_ready(step: Step) -> bool:
-    """Whether any unit lets its robots move."""
+    """Return whether any unit lets its robots move."""
     words = (frame.decision.report.tree for frame in step.frames.values())
     return any(word is not None and word.ready for word in words)
 
@@ -187,13 +188,13 @@ def measure_swarm(units: int, limit_s: float) -> dict[str, Any]:
 
 
 def growth(rows: list[dict[str, Any]]) -> float:
-    """Exponent p of `time a step ~ robots^p`, by least squares over the logarithms."""
+    """Return the exponent p of `time a step ~ robots^p`, by least squares over the logarithms."""
     robots, step_ms = np.log([(row["robots"], row["step_ms"]) for row in rows]).T
     return float(np.polyfit(robots, step_ms, 1)[0])
 
 
 def draw(result: dict[str, Any], path: Path) -> None:
-    """Time a step over robots; beside it what is asked: slope one, and 20 steps a second at 1000 robots."""
+    """Draw time a step over robots, and the targets: slope one, and 20 steps/s at 1000 robots."""
     robots, step_ms = np.array([(row["robots"], row["step_ms"]) for row in result["swarms"]]).T
     with drawing_style():
         figure = new_figure(4.2)
@@ -218,7 +219,7 @@ def draw(result: dict[str, Any], path: Path) -> None:
 
 
 def main() -> None:
-    """Command line."""
+    """Read the command line, measure and draw."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

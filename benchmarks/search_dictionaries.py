@@ -1,9 +1,9 @@
 """Search linear codes for `skyherd.markers.codes`: `search_dictionaries.py CELLS DIMENSION`.
 
-Codes that the symmetries of the square map onto themselves are put together from random words, made more
-symmetric in a few random steps, and all their images; the code of the largest least weight is kept. The
-shipped ones were found in 1 (6 x 6, dimension 16), 15 (5 x 5, 14), 40 (6 x 6, 14) and 1 seconds (7 x 7, 16),
-and not beaten in a minute or two.
+Codes that are invariant under the symmetries of the square are built from random words and all their images.
+A few random steps make the words more symmetric. The code with the largest minimum weight is kept. The search
+for the shipped codes took 1 s (6 x 6, dimension 16), 15 s (5 x 5, 14), 40 s (6 x 6, 14) and 1 s (7 x 7, 16).
+One or two more minutes found none better.
 """
 
 import argparse
@@ -14,16 +14,16 @@ import numpy as np
 from skyherd.markers.codes import span, symmetries, word_bits
 
 CHECKED = 12
-"""So many basis vectors are spanned before the code is complete, to give up early."""
+"""Number of basis vectors that are spanned before the code is complete, to stop early. Chosen."""
 
 
 def min_weight(basis: list[int], cells: int) -> int:
-    """Least weight of the words of a code but zero."""
+    """Return the minimum weight of the nonzero words of a code."""
     return int(word_bits(span(basis)[1:], cells**2).sum(axis=1).min())
 
 
 def extend(basis: list[int], word: np.ndarray, turns: np.ndarray) -> list[int]:
-    """The basis with all images of a word (n²,), in descending order."""
+    """Return the basis with all images of a word (n²,), in descending order."""
     basis = list(basis)
     for turn in turns:
         rest = int("".join("1" if bit else "0" for bit in word[turn]), 2)
@@ -35,7 +35,7 @@ def extend(basis: list[int], word: np.ndarray, turns: np.ndarray) -> list[int]:
 
 
 def random_code(cells: int, dimension: int, beat: int, rng: np.random.Generator) -> list[int] | None:
-    """A random invariant code, None as soon as it cannot beat a least weight."""
+    """Return a random invariant code, or None once it cannot exceed a minimum weight."""
     turns, basis = symmetries(cells), list[int]()
     while len(basis) < dimension:
         word = rng.integers(0, 2, cells**2).astype(bool)
@@ -51,7 +51,7 @@ def random_code(cells: int, dimension: int, beat: int, rng: np.random.Generator)
 
 
 def main() -> None:
-    """Read the command line and print every code that is better than all before."""
+    """Read the command line and print every code that improves on all earlier ones."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("cells", type=int)
     parser.add_argument("dimension", type=int)

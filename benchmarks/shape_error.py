@@ -1,15 +1,15 @@
-"""How much of a detector's error reaches the formation: `star`, flown with each detector.
+"""Measure the share of a detector's error that reaches the formation: `star`, flown with each detector.
 
     python benchmarks/shape_error.py             # Markdown table on stdout, figure to docs/shape_error.png
     python benchmarks/shape_error.py --detectors tracking opencv --figure other.png
 
-Robots and cameras start where a flight on exact projections ends, and the robots never stop (`b_th = 0`), so
-that what is left of the shape error comes from the detector alone: its mean over the last `--average` seconds
-of simulated time, after `--settle` seconds, against the detector's position RMSE (per axis, bias included, in
-sides of the marker) in the images of those same seconds.
+Robots and cameras start at the end of a flight on exact projections, and the robots never stop (`b_th = 0`).
+The residual shape error then comes from the detector alone. Its mean over the last `--average` seconds of
+simulated time, after `--settle` seconds, is plotted over the detector's position RMSE in the same images. The
+RMSE is per axis, in marker sides, bias included.
 
-Two lines for comparison: the same flight on exact projections with Gaussian errors added, drawn anew in each
-image, or once for each marker and camera. The loop averages the former away, and not the latter.
+Two lines serve for comparison: the same flight on exact projections with added Gaussian errors, drawn again
+in each image, or once for each marker and camera. The loop averages the former, and not the latter.
 """
 
 import argparse
@@ -40,10 +40,10 @@ from skyherd.sim.world import World
 FIGURE = Path(__file__).parent.parent / "docs" / "shape_error.png"
 SCENARIO = "star"
 IDEAL_S = 120.0
-"""Leaves a shape error of 2e-6, and a tenth of that every 30 s of settling."""
+"""Settling time on exact projections, s. Derived: leaves a shape error of 2e-6, ten times less every 30 s."""
 
 SIGMAS = (1e-4, 1e-3, 1e-2, 5e-2)
-"""Of the errors added to exact projections, marker sides."""
+"""Standard deviations of errors added to exact projections, marker sides."""
 
 LINE = 0.13
 """Height of a name in the figure, decades of shape error."""
@@ -51,7 +51,7 @@ LINE = 0.13
 
 @dataclass(frozen=True)
 class Flight:
-    """What one flight came to.
+    """Outcome of one flight.
 
     Attributes:
         name: of the detector.
@@ -74,7 +74,7 @@ class Flight:
 
 
 class Watched:
-    """Another perception, whose detections are held against the truth from `start_s` on."""
+    """A perception whose detections are compared with ground truth from `start_s` on."""
 
     def __init__(self, inner: Perception, dictionary: str, side_m: float, start_s: float) -> None:
         self.inner, self.start_s = inner, start_s
@@ -84,7 +84,7 @@ class Watched:
         self.whole = self.found = 0
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
-        """What the other sees; its errors are kept."""
+        """Return the other perception's detections, and record their errors."""
         sights = self.inner.look(world, units, time_s)
         if time_s > self.start_s:
             for sight, exact in zip(sights, self._exact.look(world, units, time_s), strict=True):
@@ -100,7 +100,7 @@ class Watched:
 
 
 class Erring:
-    """Exact projections with Gaussian errors of `sigma` marker sides, new in each image or `fixed`."""
+    """Exact projections with Gaussian errors of `sigma` marker sides, redrawn in each image or `fixed`."""
 
     def __init__(
         self, exact: ProjectedPerception, sigma: float, rng: np.random.Generator, *, fixed: bool
@@ -109,7 +109,7 @@ class Erring:
         self.fixed: dict[tuple[int, int], np.ndarray] | None = {} if fixed else None
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
-        """Project, and err."""
+        """Return exact projections with added errors."""
         sights = self.exact.look(world, units, time_s)
         return [self._err(sight, unit) for unit, sight in zip(units, sights, strict=True)]
 
@@ -131,7 +131,7 @@ class Erring:
 
 
 def settled_tree() -> dict[str, Any]:
-    """The scenario, with robots and cameras where a flight on exact projections leaves them."""
+    """Return the scenario with robots and cameras at the end of a flight on exact projections."""
     mission = load_mission(SCENARIO, ["control.b_th=0", "perception=ideal", f"duration_s={IDEAL_S}"])
     last = deque(run_steps(mission), maxlen=1).pop()
     tree = mission.scenario.model_dump(mode="json", exclude_none=True)
@@ -182,7 +182,7 @@ def fly_detector(name: str, tree: dict[str, Any], settle_s: float) -> Flight:
 
 
 def fly_erring(sigma: float, tree: dict[str, Any], settle_s: float, *, fixed: bool) -> Flight:
-    """Fly on exact projections with errors added."""
+    """Fly on exact projections with added errors."""
     mission = make_mission(tree, where=SCENARIO)
     marker = mission.scenario.marker
     exact = ProjectedPerception(marker.side_m, marker.dictionary)
@@ -203,7 +203,7 @@ def print_table(flights: list[Flight]) -> None:
 
 
 def draw(flights: list[Flight], lines: list[list[Flight]], path: Path) -> None:
-    """Shape error over position RMSE, a point a detector; open points missed the scenario's goal."""
+    """Draw shape error over position RMSE, a point a detector; open points missed the scenario's goal."""
     x, y = np.array([(flight.rmse_sides, flight.shape_error) for flight in flights]).T
     with drawing_style():
         figure = new_figure(4.8)
@@ -224,7 +224,7 @@ def draw(flights: list[Flight], lines: list[list[Flight]], path: Path) -> None:
 
 
 def _draw_line(axes: Axes, points: list[Flight], style: str, *, above: bool) -> None:
-    """The proportionality of some flights, named on the side where no points are."""
+    """Draw the proportionality of some flights, with its name on the side without points."""
     factor = float(np.exp(np.mean([np.log(point.shape_error / point.rmse_sides) for point in points])))
     ends, (low, high) = np.array(axes.get_xlim()), axes.get_ylim()
     axes.plot(ends, factor * ends, color=INK, ls=style, lw=1.1, zorder=1)
@@ -241,7 +241,7 @@ def _draw_line(axes: Axes, points: list[Flight], style: str, *, above: bool) -> 
 
 
 def _name(axes: Axes, flights: list[Flight]) -> None:
-    """Names beside the points, pushed apart; to the right where another point is close on the left."""
+    """Label the points without overlaps; to the right where another point is close on the left."""
     places = np.log10([(flight.rmse_sides, flight.shape_error) for flight in flights])
     for flight, (x, y) in zip(flights, places, strict=True):
         dx = places[:, 0] - x

@@ -1,10 +1,10 @@
-"""How long the package and the command line take to start, beside NumPy and typer.
+"""Measure the start-up time of the package and the command line, beside NumPy and typer.
 
     python benchmarks/startup.py [--rounds 15]
 
-Each round starts every command once, in turn, so that a busy machine slows all of them alike. Printed are the
-medians and two ratios: `import skyherd` over `import numpy` (to be at most 1) and `skyherd --help` over
-`import typer` (to be at most 4). The exit code is 1 if a ratio is above its limit.
+Each round starts every command once, in turn, so that other load affects all equally. It prints the medians
+and two ratios: `import skyherd` over `import numpy` (limit 1) and `skyherd --help` over `import typer` (limit
+4). The exit code is 1 if a ratio is above its limit.
 """
 
 import argparse
@@ -24,14 +24,14 @@ LIMITS = (("import skyherd", "import numpy", 1.0), ("skyherd --help", "import ty
 
 
 def measure_s(arguments: list[str]) -> float:
-    """Seconds from the start of an interpreter to its end."""
+    """Return the duration of an interpreter from start to end, s."""
     began_s = perf_counter()
     subprocess.run([sys.executable, *arguments], check=True, stdout=subprocess.DEVNULL)
     return perf_counter() - began_s
 
 
 def main() -> int:
-    """Print medians and ratios; 1 if a ratio is above its limit."""
+    """Print medians and ratios; return 1 if a ratio is above its limit."""
     parser = argparse.ArgumentParser(description="How long the package and the command line take to start.")
     parser.add_argument("--rounds", type=int, default=15)
     rounds = parser.parse_args().rounds

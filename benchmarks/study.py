@@ -1,14 +1,13 @@
-"""Throughput of a study on one worker process and on several, through the same Dask cluster code.
+"""Measure the throughput of a study on one worker process and on several, through the same cluster code.
 
     python benchmarks/study.py                   # 1 and 2 workers, 3 rounds
     python benchmarks/study.py --workers 8 --rounds 5 --runs 64
 
-Each round makes the same runs with one worker and with all, one after the other, on warm workers; what is
-told is the ratio of each round, and the median of all. Beside it stands what the machine itself gives: the
-same runs in bare processes, one and as many, with nobody to serve them. Cores that share caches and memory,
-and a machine that does other work, give less than their number: n processes that compete with m others for
-too few cores get n (1 + m) / (n + m) times what one gets. The CPU time that client and scheduler take from
-the workers is told too.
+Each round makes the same runs with one worker and with all, one after the other, on warm workers. It prints
+the ratio of each round, and their median. For comparison, the same runs are made in bare processes, one and
+as many, without a scheduler. Shared caches and memory, and other load, reduce the throughput: n processes
+that compete with m others for too few cores get n (1 + m) / (n + m) times the throughput of one. The
+processor time of client and scheduler is printed, too.
 """
 
 import argparse
@@ -27,13 +26,13 @@ from skyherd.study.measure import measure
 
 
 def make_missions(count: int, perception: str) -> list[Mission]:
-    """Runs of equal length, each with its own seed."""
+    """Return runs of equal length, each with its own seed."""
     settings = [f"perception={perception}", "duration_s=4.0"]
     return [load_mission("triangle", settings, seed=seed) for seed in range(count)]
 
 
 def runs_per_s(client: Client, missions: list[Mission], name: str) -> float:
-    """Of one batch of missions, from the first submitted to the last that is there."""
+    """Return the throughput of one batch of missions, from the first submission to the last result, /s."""
     started_s = perf_counter()
     named = ((f"{name}-{number}", mission) for number, mission in enumerate(missions))
     made = sum(len(outcomes) for outcomes in run_missions(client, named, []))
@@ -45,7 +44,7 @@ def _run(mission: Mission) -> None:
 
 
 def bare_runs_per_s(pool: Pool, missions: Sequence[Mission]) -> float:
-    """The same of bare processes, each of which takes the next run when it has ended one."""
+    """Return the throughput of bare processes that take one run after the other, /s."""
     started_s = perf_counter()
     pool.map(_run, missions, chunksize=1)
     return len(missions) / (perf_counter() - started_s)

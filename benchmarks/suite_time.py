@@ -1,11 +1,11 @@
-"""How long README's test run takes in one commit beside another.
+"""Compare the duration of README's test run in two commits.
 
     python benchmarks/suite_time.py 85a37f7 HEAD [--rounds 1] [--workers 2]
 
-Each commit is cloned into a folder of its own and installed there as README's test command says; that is not
-measured. Then the tests are run in turn, so that a machine that is busy, or gets hot, slows both alike.
-Printed are wall time and processor time of each run (user and system, of workers and all that they start),
-and the ratios of the sums. Other work on the machine shows in the wall time much more than in the other.
+Each commit is cloned into a folder of its own and installed by README's test command, which is not measured.
+Then the tests run in turn, so that other load and heat affect both equally. It prints wall time and processor
+time of each run (user and system, of all processes), and the ratios of the sums. Other load affects the wall
+time much more than the processor time.
 """
 
 import argparse
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def install(commit: str, folder: Path) -> Path:
-    """Clone a commit and install it with its tests' requirements; the path of the environment's pytest."""
+    """Clone a commit, install it with its test requirements, and return the path of its pytest."""
     subprocess.run(["git", "clone", "-q", ROOT, folder], check=True)
     subprocess.run(["git", "checkout", "-q", commit], cwd=folder, check=True)
     subprocess.run([sys.executable, "-m", "venv", ".venv-test"], cwd=folder, check=True)
@@ -29,7 +29,7 @@ def install(commit: str, folder: Path) -> Path:
 
 
 def measure_s(pytest: Path, folder: Path, workers: int) -> tuple[float, float, str]:
-    """Wall and processor seconds of a test run, and its last line: a test that fails is told, not obeyed."""
+    """Return wall and processor time of a test run, s, and its last line, also if tests fail."""
     before, began_s = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
     ended = subprocess.run(
         [pytest, "-q", "-n", str(workers)], cwd=folder, check=False, capture_output=True, text=True

@@ -1,30 +1,32 @@
-"""Many starts: does the protocol keep TC1-TC5, and does the shape come as fast as its slowest mode says?
+"""Measure violations of TC1-TC5, and convergence times beside those of the slowest mode, over many starts.
 
-    export OPENBLAS_NUM_THREADS=1
-    python benchmarks/topology.py --missions 100 --jobs 2 --json tree.jsonl  # random trees of units
-    python benchmarks/topology.py --share nearest --rival tree.jsonl --json nearest.jsonl  # the paper's pairs
-    python benchmarks/topology.py --network lossy --json lossy.jsonl         # 30 % lost, up to 0.5 s late
-    python benchmarks/topology.py --kill --json killed.jsonl                 # one unit dies, for good
-    python benchmarks/topology.py --start star --json star.jsonl             # star of 16 under three units
-    python benchmarks/topology.py --radio 1.3 --form chain --units 3 12      # radio to neighbours only
-    python benchmarks/topology.py --clocks 5 --json clocks.jsonl             # clocks 5 s off, drifting
-    python benchmarks/topology.py --survivor --json survivor.jsonl           # all units die but one
-    python benchmarks/topology.py --compare tree.jsonl nearest.jsonl         # times of one over the other
+```sh
+export OPENBLAS_NUM_THREADS=1
+python benchmarks/topology.py --missions 100 --jobs 2 --json tree.jsonl  # random trees of units
+python benchmarks/topology.py --share nearest --rival tree.jsonl --json nearest.jsonl  # the paper's pairs
+python benchmarks/topology.py --network lossy --json lossy.jsonl         # 30 % lost, up to 0.5 s late
+python benchmarks/topology.py --kill --json killed.jsonl                 # one unit dies, for good
+python benchmarks/topology.py --start star --json star.jsonl             # star of 16 under three units
+python benchmarks/topology.py --radio 1.3 --form chain --units 3 12      # radio to neighbours only
+python benchmarks/topology.py --clocks 5 --json clocks.jsonl             # clocks 5 s off, drifting
+python benchmarks/topology.py --survivor --json survivor.jsonl           # all units die but one
+python benchmarks/topology.py --compare tree.jsonl nearest.jsonl         # times of one over the other
+```
 
-With `--radio M` units receive those within M times the least range at which all hang together at the start,
-and others by relay. `cut_s` is how long the radio did not hold all living units together, when no protocol
-can keep P, since nobody can tell a unit out of reach from a dead one. `min_gap_m` is the least distance
-between two bodies. Violations count from when the tree is ready; before, robots stand still. Of deaths,
-`formed_before` says whether the shape had been reached by then.
+With `--radio M` the radio range is M times the minimum range that connects all units at the start. Units
+beyond it are reached by relay. `cut_s` is the time for which the radio graph of the living units was
+disconnected. No protocol can keep P then, since a unit out of reach and a dead one are indistinguishable.
+`min_gap_m` is the smallest distance between two bodies. `formed_before` is whether the shape had been reached
+before a death.
 
-One row a mission, as it ends, as a line of JSON; a file that is there is gone on with, so that an interrupted
-run resumes. Times count from when the tree is ready: robots hold still before. `predicted_s` is when
-`k ∫ λ dt`, over the topologies that were, reaches `log(error at the start / 0.01)`: exact for robots that are
-points without limits and an error that is all in the slowest mode. `driving_s` is what the robot that ends
-farthest from its start needs at its greatest speed; no control is faster. Where the slowest mode is fast that
-is the longer of the two, and `predicted_s + driving_s` the bound to hold a time against. `one_unit_s` is what
-would be predicted of a single unit that controls all robots. With `--rival` a mission ends, unfinished, once
-it takes GIVE_UP times as long as the same one there: those of slow pairs would last for hours.
+Each mission that ends adds a line of JSON, and an existing file is resumed. Times and violations count from
+the completion of the tree; robots stand still before. `predicted_s` is the time when `k ∫ λ dt` over the
+actual topologies reaches `log(error at the start / 0.01)`. It is exact for points without limits and an error
+in the slowest mode only. `driving_s` is the time of the longest path at maximum speed, a lower bound for any
+control. Where the slowest mode is fast it is the longer of the two, and times are compared with
+`predicted_s + driving_s`. `one_unit_s` is the prediction for a single unit that controls all robots. With
+`--rival` a mission ends, unfinished, at GIVE_UP times the time of the same one there: missions with slow
+pairs would last for hours.
 """
 
 import argparse
@@ -54,7 +56,7 @@ DRIFT_PPM = 100.0
 
 
 def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
-    """The scenario of one mission."""
+    """Return the scenario of one mission."""
     rng = np.random.default_rng([seed, 72])
     if options.start == "star":
         tree = star_mission(seed)
@@ -89,13 +91,13 @@ def mission_tree(seed: int, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def min_range_m(places_m: npt.ArrayLike) -> float:
-    """The least range, m, at which units at places (U, 2) all hang together."""
+    """Return the minimum radio range, m, that connects all units at places (U, 2)."""
     apart_m = squareform(pdist(np.asarray(places_m)))
     return float(minimum_spanning_tree(apart_m).toarray().max())
 
 
 class Watch:
-    """Accounts for a mission, step by step, from truth."""
+    """Records a mission step by step, from ground truth."""
 
     def __init__(self, mission: Mission, death_s: float | None) -> None:
         scenario = mission.scenario
@@ -116,7 +118,7 @@ class Watch:
         self._scenario = scenario
 
     def see(self, step: Step) -> None:
-        """Take in one step."""
+        """Record one step."""
         passed_s, self.last_s = step.time_s - self.last_s, step.time_s
         self._watch_radio_and_bodies(step, passed_s)
         words = [frame.decision.report.tree for frame in step.frames.values()]
@@ -149,7 +151,7 @@ class Watch:
             self.driving_s = float(moved_m.max()) / self.limit_mps
 
     def _watch_radio_and_bodies(self, step: Step, passed_s: float) -> None:
-        """For how long the radio did not hold the living together, and how near two bodies came."""
+        """Record how long the radio graph of the living units was disconnected, and the smallest body gap."""
         scenario = self._scenario
         radius_m = scenario.robots.body_radius_sides * scenario.marker.side_m
         self.min_gap_m = min(self.min_gap_m, float(pdist(step.positions_m).min()) - 2 * radius_m)
@@ -159,7 +161,7 @@ class Watch:
             self.cut_s += passed_s * (min_range_m(step.fleet.positions_m[living]) > range_m)
 
     def _recover(self, step: Step, in_q: bool) -> None:
-        """When TC1-TC2 hold after a death, and when each robot is seen by a unit that controls it."""
+        """Record when TC1-TC2 hold after a death, and when each robot is seen by a unit that controls it."""
         assert self.death_s is not None
         if self.back_s is None and in_q:
             self.back_s = step.time_s - self.death_s
@@ -171,7 +173,7 @@ class Watch:
             self.covered_s = step.time_s - self.death_s
 
     def done(self, step: Step) -> bool:
-        """Whether nothing more is to be learned."""
+        """Return whether the rest of the mission adds no information."""
         if self.death_s is None:
             return self.reached_s is not None and self.predicted_s is not None
         converged = step.metrics.shape.error < GOAL
@@ -182,13 +184,13 @@ class Watch:
 
 @cache
 def rival_times(path: Path | None) -> dict[int, float]:
-    """Time to 1 %, s, of the missions in a file of rows."""
+    """Return the time to 1 %, s, of the missions in a file of rows."""
     rows = read_rows(path) if path else []
     return {row["seed"]: row["time_to_1pct_s"] for row in rows if row.get("time_to_1pct_s") is not None}
 
 
 def run_mission(seed: int, options: argparse.Namespace) -> dict[str, Any]:
-    """One mission to its end; one row."""
+    """Run one mission to its end and return its row."""
     started = perf_counter()
     try:
         tree = mission_tree(seed, options)
@@ -238,7 +240,7 @@ def run_mission(seed: int, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """What all rows come to."""
+    """Return the summary of all rows."""
     good = [row for row in rows if "error" not in row]
     times = np.array([row["time_to_1pct_s"] for row in good if row["time_to_1pct_s"] is not None])
     reached = [row for row in good if row["time_to_1pct_s"] is not None and row["predicted_s"]]
@@ -281,9 +283,9 @@ def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def compare(ours: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> dict[str, Any]:
-    """Times of the second file over those of the first, by seed; unfinished ones at their duration.
+    """Return times of the second file over those of the first, by seed; unfinished ones at their duration.
 
-    Both count from when the tree is ready; quantiles above GIVE_UP are then lower bounds.
+    Both count from the completion of the tree. Quantiles above GIVE_UP are lower bounds.
     """
 
     def times(rows: list[dict[str, Any]]) -> dict[int, float]:
@@ -306,7 +308,7 @@ def compare(ours: list[dict[str, Any]], theirs: list[dict[str, Any]]) -> dict[st
 
 
 def main() -> None:
-    """Command line."""
+    """Read the command line, run the missions and print the summary."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

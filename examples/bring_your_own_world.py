@@ -1,4 +1,4 @@
-"""Steer somebody else's world: a function that takes a velocity per robot and returns an image.
+"""Steer a world of your own: a function that takes a velocity per robot and returns an image.
 
 Here the world is a few lines of NumPy and OpenCV; put your simulator or your robots in its place.
 skyherd is told the shape, the images and the side of the markers on the robots, and nothing else.
@@ -36,7 +36,7 @@ class MyWorld:
 
 
 def main() -> np.ndarray:
-    """Bring the robots into a square; returns where they end, in metres."""
+    """Bring the robots into a square; return their final positions, m."""
     world, detector = MyWorld(), create_detector("tracking", dictionary="4X4_50")
     square = Template.from_ground_points(IDS, [[0, 0], [1, 0], [1, 1], [0, 1]])
     unit = AerialController(square, SafetyRadius(radius=1.2), Hover(), rectifier=Rectifier())

@@ -17,7 +17,7 @@ from skyherd.vision import create_detector
 
 
 def decisions(path: str, shape: str, robots: int) -> Iterator[tuple[int, Decision]]:
-    """Number of markers found and the unit's decision, for each frame of a video."""
+    """Yield the number of markers found and the unit's decision, for each frame of a video."""
     detector = create_detector("tracking", dictionary="4X4_50")
     template = Template.from_ground_points(np.arange(robots), shape_points(shape, robots))
     unit = AerialController(template, SafetyRadius(radius=1.2, dwell_s=1.0), Hover())

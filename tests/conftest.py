@@ -51,7 +51,7 @@ hypothesis.settings.register_profile("random", deadline=None, database=None, pri
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Property tests draw the same examples in each run; with `-m random`, others, from a printed seed."""
+    """Fix the examples of property tests; with `-m random`, draw others from a printed seed."""
     # Hypothesis also draws constants that it finds in the modules loaded so far, so that examples would
     # depend on which tests ran before in the same process.
     if hasattr(providers, "_get_local_constants"):
@@ -88,7 +88,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """From here on garbage is looked for, but not among what was there before."""
+    """Collect garbage from here on, except among existing objects."""
     gc.freeze()
     gc.set_threshold(GARBAGE_LOOKED_FOR)
     gc.enable()
@@ -96,7 +96,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session")
 def load_benchmark() -> Iterator[Callable[[str], ModuleType]]:
-    """A script of `benchmarks/` as a module, which finds what it imports beside itself."""
+    """Provide a function that loads a script of `benchmarks/` as a module, with its neighbours importable."""
 
     def load(name: str) -> ModuleType:
         spec = importlib.util.spec_from_file_location(f"benchmark_{name}", BENCHMARKS / f"{name}.py")
@@ -112,7 +112,7 @@ def load_benchmark() -> Iterator[Callable[[str], ModuleType]]:
 
 @pytest.fixture(scope="session")
 def scenario_tree() -> Callable[[str], dict[str, Any]]:
-    """A fresh tree of a built-in scenario, to be changed at will."""
+    """Return a fresh tree of a built-in scenario, to be changed at will."""
 
     def make(name: str) -> dict[str, Any]:
         return tomllib.loads(scenario_text(name))
@@ -122,7 +122,7 @@ def scenario_tree() -> Callable[[str], dict[str, Any]]:
 
 @pytest.fixture(scope="session")
 def ideal_triangle() -> list[Step]:
-    """80 s of the mission `triangle` on exact points, which several tests read and none may change.
+    """Return 80 s of the mission `triangle` on exact points. Tests must not change it.
 
     Nothing is rectified: an ideal camera's detections pass unchanged, as the rectifier's tests show.
     """
@@ -132,7 +132,7 @@ def ideal_triangle() -> list[Step]:
 
 @pytest.fixture(scope="session")
 def ideal_failure() -> tuple[Mission, list[Step]]:
-    """The mission `failure` until a while after unit 0's death, on exact points; nobody may change it."""
+    """Return the mission `failure` until a while after unit 0's death, on exact points. Do not change it."""
     mission = load_mission("failure", ["perception=ideal", "duration_s=32.0", "control.rectify=false"])
     return mission, list(run_steps(mission))
 
@@ -143,7 +143,7 @@ GROUNDS_KEPT = 12
 
 @pytest.fixture(scope="session", autouse=True)
 def grounds_made_once() -> Iterator[None]:
-    """More grounds than usual are kept in memory, and at the resolutions in use: making one takes long."""
+    """Keep more grounds than usual in memory, at the resolutions in use: making one takes long."""
     spectrum_of = lru_cache(8)(ground._concrete_spectrum.__wrapped__)
     make, kept = ground._band_limited, OrderedDict[tuple[int, int, float], tuple[np.ndarray, np.ndarray]]()
 
@@ -164,7 +164,7 @@ def grounds_made_once() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def commands_made_once() -> Iterator[None]:
-    """The command line is made of its functions once, and not at each of hundreds of calls."""
+    """Build the command line from its functions once, instead of at each of hundreds of calls."""
     make = typer.main.get_command
 
     @lru_cache(8)
@@ -185,7 +185,7 @@ COARSE_DPI = 65
 
 @pytest.fixture(scope="session", autouse=True)
 def coarse_figures() -> Iterator[None]:
-    """Figures have few pixels: how many matters to the tests of figures alone."""
+    """Reduce the pixels of figures: only the tests of figures depend on them."""
     with pytest.MonkeyPatch.context() as patch:
         for module in ("skyherd.plots.style", "skyherd.plots.panels", "skyherd.study.figures"):
             patch.setattr(f"{module}.DPI", COARSE_DPI)
@@ -194,7 +194,7 @@ def coarse_figures() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def reference_fit() -> Callable[[np.ndarray, np.ndarray], tuple[complex, complex]]:
-    """The least-squares similarity `z -> a z + b` without complex algebra: a real system in 4 unknowns."""
+    """Return the least-squares similarity `z -> a z + b` from a real system in 4 unknowns."""
 
     def fit(template: np.ndarray, current: np.ndarray) -> tuple[complex, complex]:
         x, y = template.real, template.imag
@@ -210,7 +210,7 @@ def reference_fit() -> Callable[[np.ndarray, np.ndarray], tuple[complex, complex
 
 @pytest.fixture(scope="session")
 def make_detections() -> Callable[..., Detections]:
-    """Detections at image points `u + iv`, with plain values for all that a test does not care about."""
+    """Return detections at image points `u + iv`, with default values for everything else."""
 
     def make(
         ids: Any,
@@ -243,7 +243,7 @@ def make_detections() -> Callable[..., Detections]:
 
 @pytest.fixture(scope="session")
 def make_report() -> Callable[..., UnitReport]:
-    """A unit's report, from the robots it sees at image points `u + iv`."""
+    """Return a unit's report, from the robots it sees at image points `u + iv`."""
 
     def make(
         unit_id: int, ids: Any, points: Any, controlled: Any, secure: Any = (), size=(800, 800)
@@ -264,7 +264,7 @@ def make_report() -> Callable[..., UnitReport]:
 
 @pytest.fixture(scope="session")
 def make_goals() -> Callable[..., MotionGoals]:
-    """Goals from vectors in the robots' frames, `rho e^{i bearing}`, and {neighbour: distance} by robot."""
+    """Return goals from vectors in the robots' frames, `rho e^{i bearing}`, and distances by neighbour."""
 
     def make(
         unit_id: int, ids: Any, rho: Any, *, sides: Any = None, neighbors: Any = None, time_s: float = 0.0
@@ -311,7 +311,7 @@ OVERFLOWING = """() => {
 
 
 def missing(what: str) -> None:
-    """Skip for want of a browser, or fail where one is required."""
+    """Skip without a browser, or fail where one is required."""
     reason = f"{what} is not installed"
     if os.environ.get("SKYHERD_REQUIRE_BROWSER") == "1":
         pytest.fail(f"{reason}, and SKYHERD_REQUIRE_BROWSER=1 asks for it")
@@ -320,7 +320,7 @@ def missing(what: str) -> None:
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Any]:
-    """Headless Chromium; the test is skipped where there is none."""
+    """Provide headless Chromium; skip the test without it."""
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
@@ -336,7 +336,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def assert_nothing_overflows() -> Callable[[Any], None]:
-    """Asserts that neither a page nor anything in it is wider than its window, unless it scrolls."""
+    """Assert that neither a page nor an element of it is wider than its window, unless it scrolls."""
 
     def check(window: Any) -> None:
         assert window.evaluate("document.documentElement.scrollWidth <= innerWidth")
@@ -347,7 +347,7 @@ def assert_nothing_overflows() -> Callable[[Any], None]:
 
 @pytest.fixture(scope="session")
 def place_markers() -> Callable[..., np.ndarray]:
-    """Similarities (N, 3, 3) from a marker's plane (right, down, in sides) to pixels, by centre, heading."""
+    """Return similarities (N, 3, 3) from a marker's plane (right, down, in sides) to pixels."""
 
     def place(centers: Any, headings: Any, sides: Any) -> np.ndarray:
         centers, headings = np.atleast_1d(np.asarray(centers, complex)), np.asarray(headings, dtype=float)
@@ -363,7 +363,7 @@ def place_markers() -> Callable[..., np.ndarray]:
 
 @pytest.fixture(scope="session")
 def draw_markers() -> Callable[..., np.ndarray]:
-    """An image of markers by brute force, independent of `skyherd.render`: 16 points a pixel looked up.
+    """Draw markers by brute force with 16 points a pixel, independent of `skyherd.render`.
 
     The points are a lattice in which no two share a line or column: upright edges lie right to 1/32 px.
     `paint`, if any, changes the float image before lens and sensor: what covers markers, or clutter.
@@ -384,7 +384,7 @@ def draw_markers() -> Callable[..., np.ndarray]:
         cells = np.pad(marker_cells(dictionary, marker_id), 1, constant_values=True)
 
         def cell_at(u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            """Row and column of the card's cells, or beyond them, at points of the image."""
+            """Return row and column of the card's cells, or beyond them, at points of the image."""
             w = g * u + h * v + i
             x, y = (a * u + b * v + c) / w, (d * u + e * v + f) / w
             return np.floor((y + 0.5) * n).astype(int) + 1, np.floor((x + 0.5) * n).astype(int) + 1
@@ -439,7 +439,7 @@ def draw_markers() -> Callable[..., np.ndarray]:
 
 @pytest.fixture
 def write_study(tmp_path: Path) -> Callable[..., Path]:
-    """Writes a study file, a small one if not told otherwise."""
+    """Write a study file, a small one by default."""
     from study_runs import SMALL
 
     def make(text: str = SMALL, name: str = "small.toml") -> Path:
@@ -452,7 +452,7 @@ def write_study(tmp_path: Path) -> Callable[..., Path]:
 
 @pytest.fixture
 def without_cluster(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Studies are made in this process, one run at a time."""
+    """Run studies in this process, one run at a time."""
     from study_runs import run_in_process
 
     run_in_process(monkeypatch)

@@ -15,7 +15,7 @@ UNITS = re.compile(r"_(m|px|s|rad|deg|mps|radps|hz|sides|cells|px2|m2|degps|ps)$
 
 
 def is_number(node: ast.expr) -> bool:
-    """Whether an argument is a number by its look: a literal, arithmetic with one, or a name with a unit."""
+    """Return whether an argument looks like a number: a literal, arithmetic, or a name with a unit."""
     if isinstance(node, ast.UnaryOp):
         return is_number(node.operand)
     if isinstance(node, ast.BinOp):

@@ -21,7 +21,7 @@ GROUP = typer.main.get_command(app)
 
 
 def script(name: str):
-    """A module of docs/scripts, which is no package."""
+    """Return a module of docs/scripts, which is no package."""
     spec = importlib.util.spec_from_file_location(name, DOCS / "scripts" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -39,7 +39,7 @@ def test_files_of_code_that_a_page_names_are_there(page) -> None:
 
 
 def commands(page: Path) -> list[list[str]]:
-    """Calls of the program in a page's shell examples and in its code, as words."""
+    """Return calls of the program in a page's shell examples and in its code, as words."""
     text = page.read_text()
     lines = [line for block in re.findall(r"```sh\n(.*?)```", text, re.S) for line in block.splitlines()]
     lines += re.findall(r"`(skyherd [^`]*)`", re.sub(r"```.*?```", "", text, flags=re.S))

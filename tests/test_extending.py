@@ -17,7 +17,7 @@ PAGE = Path(__file__).parents[1] / "docs" / "extending.md"
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory) -> dict:
-    """The names that the blocks of the page define, run one after the other as one script.
+    """Return the names that the blocks of the page define, run one after the other as one script.
 
     `last_steps` has the last step of each mission that it runs to its end. The report's figure is one.
     """
@@ -34,7 +34,7 @@ def page(tmp_path_factory) -> dict:
 
 @pytest.fixture(scope="module")
 def frame():
-    """An image of the triangle's robots, and the ids of those that are whole in it."""
+    """Return an image of the triangle's robots, and the ids of those that are whole in it."""
     mission = load_mission("triangle", ["duration_s=0.1"])
     sight = next(iter(run_steps(mission))).frames[0].sight
     return sight.image, sight.whole_ids.tolist()

@@ -1,4 +1,4 @@
-"""Who imports whom in the package: no way past a facade, layers without a cycle, and few of them.
+"""Imports within the package: no way past a facade, layers without a cycle, and few of them.
 
 Independent of the import contracts of `pyproject.toml`: everything is read from the source files here, with
 imports inside of functions and for type checkers.
@@ -22,7 +22,7 @@ MAX_LAYERS = 18
 
 
 def imports(tree: ast.Module, modules: set[str]) -> set[str]:
-    """Modules of the package that a file imports anywhere; a name that is a module counts as that."""
+    """Return modules of the package that a file imports anywhere; a name that is a module counts."""
     found = set()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -36,7 +36,7 @@ def imports(tree: ast.Module, modules: set[str]) -> set[str]:
 
 @pytest.fixture(scope="module")
 def graph() -> dict[str, set[str]]:
-    """Which modules of the package each of them imports."""
+    """Return the imported modules of the package by module."""
     modules = set(SOURCE_FILES)
     return {module: imports(syntax_tree(path), modules) for module, path in SOURCE_FILES.items()}
 
@@ -46,7 +46,7 @@ def belongs_to(module: str, package: str) -> bool:
 
 
 def ways_past_facades(graph: dict[str, set[str]]) -> set[tuple[str, str]]:
-    """Imports of a module inside `control`, `render` or `vision` by a module that is outside of it."""
+    """Return imports of a module inside `control`, `render` or `vision` from outside of it."""
     facades = [f"skyherd.{name}" for name in FACADES]
     return {
         (module, target)
@@ -84,7 +84,7 @@ def test_a_way_past_a_facade_is_seen(statement, past) -> None:
 
 
 def child_of(module: str) -> str | None:
-    """The direct child of `skyherd` that a module lies in; None for the package itself."""
+    """Return the direct child of `skyherd` that contains a module; None for the package itself."""
     return module.split(".")[1] if "." in module else None
 
 
@@ -92,7 +92,7 @@ CHILDREN = {child for child in map(child_of, SOURCE_FILES) if child is not None}
 
 
 def child_graph(graph: dict[str, set[str]]) -> dict[str, set[str]]:
-    """Who imports whom among the direct children of `skyherd`; the package itself, being lazy, left out."""
+    """Return the imports among the direct children of `skyherd`, without those of the lazy package itself."""
     found: dict[str, set[str]] = {}
     for module, targets in graph.items():
         if (child := child_of(module)) is not None:
@@ -102,7 +102,7 @@ def child_graph(graph: dict[str, set[str]]) -> dict[str, set[str]]:
 
 
 def layer_of() -> dict[str, int]:
-    """Number of the layer of each child, the lowest 0, by the exhaustive contract of `pyproject.toml`."""
+    """Return the layer of each child, the lowest 0, by the exhaustive contract of `pyproject.toml`."""
     tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
     contract = next(one for one in tool["contracts"] if one["type"] == "layers")
     assert contract["containers"] == ["skyherd"]
@@ -119,7 +119,7 @@ def test_the_package_has_few_rooms_on_few_layers() -> None:
 
 
 def upward(graph: dict[str, set[str]], layers: dict[str, int]) -> set[tuple[str, str]]:
-    """Imports of a child on the same layer or a higher one."""
+    """Return imports of a child on the same layer or a higher one."""
     return {(child, to) for child, targets in graph.items() for to in targets if layers[to] >= layers[child]}
 
 

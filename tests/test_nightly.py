@@ -1,4 +1,4 @@
-"""The nightly run tells what is not as it should be, and never that all is well without having seen it."""
+"""The nightly run reports every failure, and no success that it did not observe."""
 
 import datetime
 import json
@@ -33,7 +33,7 @@ def nightly(load_benchmark):
     ],
 )
 def test_each_group_of_missions_has_its_own_verdict(nightly, changed, wrong) -> None:
-    """Robots may be nobody's for a while after a death; without one P is never left."""
+    """Robots may be uncontrolled for a while after a death; otherwise P always holds."""
     groups = {"trees", "killed", "survivors", "crowds"}
     assert {name for name in groups if not nightly.MISSIONS[name].is_right(GOOD | changed)} == wrong
 

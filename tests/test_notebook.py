@@ -15,7 +15,7 @@ def code_cells(path: Path) -> list[dict]:
 
 
 def run(cells: list[dict]) -> dict:
-    """The names after all cells have run in order; an error names its cell."""
+    """Return the names after all cells have run in order; an error names its cell."""
     names: dict = {}
     for number, cell in enumerate(cells):
         exec(compile("".join(cell["source"]), f"cell {number}", "exec"), names)

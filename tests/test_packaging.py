@@ -29,7 +29,7 @@ PARTS = ("vision", "control", "render", "datasets")
 
 
 def discovered(root):
-    """The packages that `setup.py` of a source tree finds."""
+    """Return the packages that `setup.py` of a source tree finds."""
     spec = importlib.util.spec_from_file_location("setup_of_tree", root / "setup.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -45,7 +45,7 @@ def test_setup_finds_every_package_of_the_tree():
 
 @pytest.fixture
 def small_tree(tmp_path):
-    """A source tree with seven packages, and the two scripts of the project."""
+    """Write a source tree with seven packages, and the two scripts of the project."""
     tops = ("src/skyherd", *PARTS)
     for folder in (*tops, "src/skyherd/sim", "vision/search"):
         (tmp_path / folder).mkdir(parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def test_the_version_has_one_source():
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """The names of the files in the wheel: in the one that `SKYHERD_WHEEL` names, or in one made here."""
+    """Return the names of the files in the wheel: the one that `SKYHERD_WHEEL` names, or a new one."""
     made = os.environ.get("SKYHERD_WHEEL")
     if made:
         return zipfile.ZipFile(made).namelist()

@@ -80,7 +80,7 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
 
 
 def on_page_content(html: str, *, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Put MathML in the place of TeX.
+    """Replace TeX by MathML.
 
     Raises:
         PluginError: a formula of the page cannot be converted.

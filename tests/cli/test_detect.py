@@ -19,7 +19,7 @@ IDS = [4, 11, 30]
 
 
 def sheet(ids=IDS, *, dictionary="4X4_50", shift_px=0, background=140) -> np.ndarray:
-    """Markers of 48 px, heading up, 100 px apart, centres at (59.5 + 100 k + shift, 59.5)."""
+    """Return markers of 48 px, heading up, 100 px apart, centres at (59.5 + 100 k + shift, 59.5)."""
     image = np.full((120, 120 + 100 * (len(ids) - 1) + 20), background, np.uint8)
     for k, marker_id in enumerate(ids):
         cells = np.pad(marker_cells(dictionary, marker_id), 1, constant_values=True)

@@ -62,9 +62,7 @@ def test_a_signal_that_was_ignored_stays_ignored():
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, list) else "",
 )
-def test_every_verb_says_in_one_line_what_is_left(
-    tmp_path, monkeypatch, capsys, verb, target, said
-):  # fails on 85a37f7: nothing was said
+def test_every_verb_says_in_one_line_what_is_left(tmp_path, monkeypatch, capsys, verb, target, said):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(target, raising(KeyboardInterrupt()))
     code, _, err = call(capsys, *verb)

@@ -24,7 +24,7 @@ def here(tmp_path, monkeypatch):
 
 
 def hashes(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file below a folder."""
+    """Return the SHA-256 of every file below a folder."""
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
@@ -41,7 +41,7 @@ def assert_untouched(folder: Path, capsys, *arguments) -> None:
 
 
 def test_detect_never_replaces_a_photograph(here, capsys):
-    """Line 1 of the issue."""
+    """The photograph stays byte by byte."""
     photograph(here / "photos" / "one.png")
     photograph(here / "photos" / "two.png", 30)
     photograph(here / "one.png")
@@ -60,7 +60,7 @@ def test_detect_never_replaces_its_own_picture_that_is_looked_at(here, capsys):
 
 
 def test_detect_never_removes_a_table_that_it_did_not_make(here, capsys):
-    """Line 3, its second half."""
+    """A table of the user in a folder of pictures stays."""
     photograph(here / "a.png")
     for name in ("detections.csv", "rejected.jsonl"):
         (here / "mine").mkdir(exist_ok=True)
@@ -74,7 +74,7 @@ def test_detect_never_removes_a_table_that_it_did_not_make(here, capsys):
 
 
 def test_topology_overwrites_no_file_unasked_and_none_that_is_not_its_own(here, capsys):
-    """Line 2."""
+    """Neither a file of the user nor another verb's file is replaced."""
     (here / "pic.png").write_bytes(b"a photograph")
     assert_untouched(here, capsys, "topology", "triangle", "--out", "pic.png")
     assert_untouched(here, capsys, "topology", "triangle", "--out", "pic.png", "--force")
@@ -89,7 +89,7 @@ def test_topology_overwrites_no_file_unasked_and_none_that_is_not_its_own(here, 
 
 @pytest.mark.parametrize("name", ["video.mp4", "summary.json", "report.html", "run.mcap"])
 def test_run_never_removes_what_is_of_no_run(here, capsys, name):
-    """Line 3."""
+    """Files that no run made stay in the folder."""
     (here / "mine").mkdir()
     (here / "mine" / name).write_text("precious")
     assert_untouched(here, capsys, "run", "triangle", "--out", "mine", "--force", *QUICK)
@@ -107,7 +107,7 @@ def test_run_and_report_replace_their_own_and_leave_the_rest(here, capsys):
 
 
 def test_report_makes_no_file_over_one_of_another(here, capsys):
-    """A recording that was sent, in a folder with other things."""
+    """The recording lies in a folder with files of the user."""
     call(capsys, "run", "triangle", "--out", "out", *QUICK)
     (here / "sent").mkdir()
     (here / "out" / "run.mcap").rename(here / "sent" / "run.mcap")
@@ -152,7 +152,7 @@ board = { kind = "aruco", columns = 2, rows = 2 }
 
 @pytest.fixture(params=["photographs", "boards"])
 def measure(request, here):
-    """A short measurement on two photographs, as arguments; all that is more can be put behind them."""
+    """Return the arguments of a short measurement on two photographs; further ones can follow."""
     photograph(here / "in" / "a.png")
     photograph(here / "in" / "b.png", 30)
     (here / "in" / "photographs.toml").write_text(SETS)

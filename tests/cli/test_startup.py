@@ -34,7 +34,7 @@ HEAVY = (
     "dask",
     "pyarrow",
 )
-"""Whatever takes long to import; rich is among them, since its progress bars and tables are for few verbs."""
+"""Modules that take long to import, rich among them: only few verbs have progress bars and tables."""
 
 VERBS = [
     [],
@@ -52,7 +52,7 @@ VERBS = [
 
 
 def loaded_by(*codes: str) -> list[set[str]]:
-    """Top-level names of the modules that a fresh interpreter has loaded after each piece of code."""
+    """Return the top-level modules that a fresh interpreter has loaded after each piece of code."""
     script = "import sys"
     for code in codes:
         script += f"\ntry:\n    {code}\nexcept SystemExit: pass\nprint(*sys.modules, file=sys.stderr)"
@@ -92,7 +92,7 @@ def test_what_sees_and_flies_loads_no_figures():
 
 
 def top_imports(path: Path) -> set[str]:
-    """Modules that a file imports when it is loaded, those under `if TYPE_CHECKING` left out."""
+    """Return the modules that a file imports when it is loaded, without those under `if TYPE_CHECKING`."""
     found = set()
     for node in ast.parse(path.read_text()).body:
         if isinstance(node, ast.Import):
@@ -154,7 +154,7 @@ def test_the_help_names_what_an_option_takes(capsys):
 
 @pytest.fixture(params=["here", pytest.param("in a process of its own", marks=pytest.mark.slow)])
 def completions(request, tmp_path, monkeypatch, capfd):
-    """What bash offers in a folder for the last of some words, asked for as its script asks."""
+    """Return bash's completions in a folder for the last of some words, requested as its script does."""
 
     def ask(*words: str) -> list[str]:
         monkeypatch.chdir(tmp_path)

@@ -22,7 +22,7 @@ SCALARS = st.one_of(
     st.sampled_from([2**63, -(2**70), float("nan"), float("inf"), 1e308, -1e308, 1e-320, 0.5]),
     st.sampled_from(["", "x", "4X4_50", "photometric", "os:getcwd", "a\0b", *NASTY_VALUES[:4]]),
 )
-"""Values of no kind in particular."""
+"""Values of various types."""
 
 ARRAYS = arrays.arrays(
     st.sampled_from([np.float64, np.int64, np.complex128, np.uint8, np.bool_]),
@@ -36,7 +36,7 @@ NAMES = st.sampled_from(
     ["", "x", "4X4_50", "a:b", "os:getcwd", "star", "word:A", "a\0b", "/dev/zero", "n" * 400]
 )
 BY_TYPE = {str: NAMES, Path: NAMES.map(Path), Path | str: NAMES}
-"""What is given where a text or a path is asked for: one of them, since nothing else has its methods."""
+"""Values for arguments that are texts or paths; other types lack their methods."""
 
 CALLED = (
     "AerialController", "Detections", "GoalInboxes", "Hover", "MarkerGains", "MotionGoals", "Rectifier",
@@ -49,7 +49,7 @@ CALLED = (
 
 @st.composite
 def calls(draw, target):
-    """Arguments for a callable, by name: those that it needs, and some of the others."""
+    """Draw arguments for a callable, by name: the required ones and some of the others."""
     parameters = inspect.signature(target).parameters.values()
     return {
         parameter.name: draw(BY_TYPE.get(parameter.annotation, ANYTHING))
@@ -115,14 +115,14 @@ INTERNAL = {
 
 
 def is_left_out(target):
-    """Whether a class is a protocol, a data model, an enumeration, or an error without a constructor."""
+    """Return whether a class is a protocol, data model, enumeration, or error without a constructor."""
     is_plain_error = issubclass(target, BaseException) and "__init__" not in vars(target)
     is_model = hasattr(target, "model_validate") or issubclass(target, Enum)
     return getattr(target, "_is_protocol", False) or is_model or is_plain_error
 
 
 def public_callables():
-    """Public functions and classes by their names."""
+    """Yield public functions and classes by their names."""
     for facade in FACADES:
         module = importlib.import_module(facade)
         for name in module.__all__:
@@ -143,7 +143,7 @@ SAME = (
 
 
 def call_as_nonsense(target, values):
-    """Call with these values in turn, of the arguments that are needed; an AttributeError passes through."""
+    """Call with these values in turn for the required arguments; an AttributeError passes through."""
     parameters = [
         parameter
         for parameter in inspect.signature(target).parameters.values()

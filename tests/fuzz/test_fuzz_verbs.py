@@ -70,7 +70,7 @@ def few_figures():
 
 @st.composite
 def command_lines(draw):
-    """A verb with an argument and one to three options; the last that it needs are never all good."""
+    """Draw a verb with an argument and one to three options; required ones are never all valid."""
     verb = draw(st.sampled_from(sorted(VERBS)))
     options, flags = VERBS[verb]
     names = [name for name in options if name]
@@ -82,7 +82,7 @@ def command_lines(draw):
 
 @fuzzed(20, arguments=command_lines())
 def verbs(arguments):
-    """A benchmark is never begun: one that is good would take its minutes."""
+    """A benchmark never starts: a valid one would take minutes."""
     if arguments[:2] == ["bench", "detectors"]:
         arguments += ["--detectors", "no-such-detector"]
     with playground() as folder:

@@ -6,7 +6,7 @@ from skyherd.cli import main
 
 
 def call(capsys, *arguments):
-    """Exit code, stdout and stderr of one call."""
+    """Return exit code, stdout and stderr of one call."""
     with pytest.raises(SystemExit) as ended:
         main([str(argument) for argument in arguments])
     said = capsys.readouterr()
@@ -14,7 +14,7 @@ def call(capsys, *arguments):
 
 
 def assert_refused(result, *words):
-    """Exit code 2, and one line on stderr with the words in it."""
+    """Check for exit code 2, and for one line on stderr that contains the words."""
     code, _, err = result
     assert code == 2
     assert err.count("\n") == 1, err

@@ -16,7 +16,7 @@ def _unit(vector):
 
 
 def _table_start(normal):
-    """Where the table of the direction nearest to a normal's begins, at distance zero."""
+    """Return the first index of the table for the direction nearest to a normal, at distance zero."""
     alpha = np.arctan2(normal[1], normal[0])
     direction = np.rint((1 - np.cos(4 * alpha)) / 2 * (DIRECTIONS - 1))
     return direction * SAMPLES + SAMPLES // 2
@@ -28,7 +28,7 @@ def _spread(spread, start, distance):
 
 
 def _inside(outline, margin_px, u, v):
-    """Which pixels of a row lie within a margin of a convex outline."""
+    """Return the pixels of a row within a margin of a convex outline."""
     (u_0, v_0), (u_1, v_1) = outline.T, np.roll(outline, -1, axis=0).T
     area = (u_0 * v_1 - v_0 * u_1).sum()
     inside = np.ones(u.shape, dtype=bool)
@@ -39,10 +39,10 @@ def _inside(outline, margin_px, u, v):
 
 
 def _rows(images, corners, spread):
-    """For each shape and image row: its number, the row, columns, and what its pixels see.
+    """Yield number, row, columns and pixel geometry of each shape and image row.
 
-    These are places (2, P) in the shape, sharpness (2, P), cosines (P,), and the unit normals (2, 2) of x and
-    y at the first pixel.
+    The geometry is places (2, P) in the shape, sharpness (2, P), cosines (P,), and the unit normals (2, 2) of
+    x and y at the first pixel.
     """
     (width, height), lens = images.camera.size_px, images.lens()
     margin = REACH * spread.sigma_px
@@ -73,7 +73,7 @@ def _rows(images, corners, spread):
 
 
 def painted_lattices(canvas, images, levels, spread):
-    """The canvas (height, width) with grids of grey `levels` (N, m, m) over it, as floats."""
+    """Return the canvas (height, width) with grids of grey `levels` (N, m, m) over it, as floats."""
     m = levels.shape[1]
     seen = canvas.astype(float)
     corners = np.array([[0.0, 0.0], [m, 0.0], [m, m], [0.0, m]])
@@ -110,7 +110,7 @@ def painted_lattices(canvas, images, levels, spread):
 
 
 def painted_discs(canvas, images, levels, spread):
-    """The canvas (height, width) with discs of grey `levels` (N,) over it, as floats."""
+    """Return the canvas (height, width) with discs of grey `levels` (N,) over it, as floats."""
     seen = canvas.astype(float)
     for number, v, u, at, sharpness, cosines, normals in _rows(images, RING, spread):
         radius = np.hypot(*at)

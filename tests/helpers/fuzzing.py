@@ -1,4 +1,4 @@
-"""What the fuzzing suite shares: inputs damaged at random, and what the command line must never do to them.
+"""Shared parts of the fuzzing suite: randomly damaged inputs, and rules that the command line never breaks.
 
 Each check is run twice: with few examples that are always the same among the fast tests, and with many that
 are always others behind `-m slow` (`SKYHERD_FUZZ_EXAMPLES` times as many, 1 if it is not set).
@@ -80,7 +80,7 @@ NUMBER = re.compile(rb"(?<== )[^\n]+|-?\d+(\.\d+)?")
 
 @st.composite
 def damaged(draw: Any, data: bytes) -> bytes:
-    """A file's bytes with bits flipped, and parts cut out, repeated, exchanged or put in."""
+    """Draw a file's bytes with bits flipped, and parts cut out, repeated, exchanged or inserted."""
     for _ in range(draw(st.integers(1, 4))):
         at = int(draw(st.floats(0, 1, exclude_max=True)) * max(len(data), 1))
         length = draw(st.integers(1, 80))
@@ -103,7 +103,7 @@ def damaged(draw: Any, data: bytes) -> bytes:
 
 @st.composite
 def nonsense(draw: Any, text: bytes) -> bytes:
-    """A TOML file with some of its values replaced by nasty ones, and some lines gone or there twice."""
+    """Draw a TOML file with some values replaced by invalid ones, and some lines removed or repeated."""
     for _ in range(draw(st.integers(1, 3))):
         values = list(NUMBER.finditer(text))
         if values:
@@ -124,7 +124,7 @@ def nested(levels: int, kind: str = "[") -> str:
 
 @st.composite
 def other_values(draw: Any, data: bytes, depths: Sequence[int] = DEPTHS) -> bytes:
-    """A JSON file with the value at one to three of its keys replaced, mostly by one of another type."""
+    """Draw a JSON file with the values of one to three keys replaced, mostly by another type."""
     document = json.loads(data)
     deep: dict[str, str] = {}
     for number in range(draw(st.integers(1, 3))):
@@ -149,7 +149,7 @@ def other_values(draw: Any, data: bytes, depths: Sequence[int] = DEPTHS) -> byte
 
 
 def deep_json() -> st.SearchStrategy[bytes]:
-    """JSON texts of nothing but levels."""
+    """Draw JSON texts that consist of levels only."""
     kinds = st.sampled_from(["[", "{", "[...", "{..."])
     return st.builds(nested, st.sampled_from(DEPTHS), kinds).map(str.encode)
 
@@ -183,7 +183,7 @@ def _copy(check: Callable[..., None]) -> Callable[..., None]:
 
 @contextlib.contextmanager
 def playground() -> Iterator[Path]:
-    """A new folder as the working folder, with a file in it that is the user's."""
+    """Provide a new working folder with a file of the user."""
     before = Path.cwd()
     with tempfile.TemporaryDirectory(prefix="skyherd-fuzz-") as name:
         os.chdir(name)
@@ -195,7 +195,7 @@ def playground() -> Iterator[Path]:
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """SHA-256 of each file below a folder, and an entry for each folder."""
+    """Return the SHA-256 of each file below a folder, and an entry for each folder."""
     return {
         str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
         for path in folder.rglob("*")
@@ -204,7 +204,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 @contextlib.contextmanager
 def not_for_ever() -> Iterator[None]:
-    """Fail if the body does not end: a test that waits would never tell."""
+    """Fail if the body does not end: a test that waits would never report."""
 
     def fail(*_: Any) -> None:
         raise AssertionError(f"not done after {FOR_EVER_S:g} s")
@@ -219,7 +219,7 @@ def not_for_ever() -> Iterator[None]:
 
 
 def refusal(call: Callable[[], object]) -> SkyherdError | None:
-    """Call something; how it was refused, None if it was not. A refusal is short, and comes soon."""
+    """Call a function and return its refusal, or None. A refusal is short and comes soon."""
     began_s = time.process_time()
     try:
         with not_for_ever():
@@ -234,7 +234,7 @@ def refusal(call: Callable[[], object]) -> SkyherdError | None:
 
 
 def run(*arguments: Any) -> tuple[int, str]:
-    """Exit code and stderr of one call of the command line, in this process; warnings are errors of ours."""
+    """Return exit code and stderr of one call of the command line in this process; warnings are errors."""
     out, err = io.StringIO(), io.StringIO()
     with (
         contextlib.redirect_stdout(out),
@@ -251,7 +251,7 @@ def run(*arguments: Any) -> tuple[int, str]:
 
 
 def assert_well_behaved(folder: Path, *arguments: Any) -> int:
-    """Call the command line, and check what holds whatever it was given; returns the exit code.
+    """Call the command line, check the rules for any input, and return the exit code.
 
     Exit code 0, 1 or 2; of a refusal at most `MAX_LINES` short lines, soon, without a
     traceback, and nothing new in the folder; and no file that was there is gone or changed.

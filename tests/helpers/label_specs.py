@@ -22,13 +22,13 @@ TREE = {
 
 
 def spec_of(**changes):
-    """The small set with some keys changed."""
+    """Return the small set with some keys changed."""
     return SpecFile(make_spec(TREE | changes))
 
 
 @functools.cache
 def labelled_set() -> dict[str, bytes]:
-    """The files of a small set with one image, by name."""
+    """Return the files of a small set with one image, by name."""
     with tempfile.TemporaryDirectory() as folder:
         path = make_dataset(spec_of(images=1), Path(folder, "set")).path
         return {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}

@@ -1,4 +1,4 @@
-"""Folders of live runs whose every time is known, written by the process_logs that processes keep."""
+"""Folders of live runs with known times, written by the process logs of units and robots."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +18,7 @@ BEGUN_S = 1.7e9
 
 
 def small_lab(robots: int = 3, cameras: int = 1) -> Lab:
-    """A lab of a few robots."""
+    """Return a lab of a few robots."""
     return make_lab(
         {
             "team": "small",
@@ -72,26 +72,26 @@ class Script:
 
     @property
     def passed_s(self) -> np.ndarray:
-        """(images, 5) by the unit's clock: captured, arrived, begun, found, sent."""
+        """Return times (images, 5) by the unit's clock: captured, arrived, begun, found, sent."""
         return self.captured_s[:, None] + np.insert(np.cumsum(self.stages_s, axis=1), 0, 0.0, axis=1)
 
     @property
     def received_s(self) -> np.ndarray:
-        """(images, robots) by the unit's clock."""
+        """Return times of reception (images, robots) by the unit's clock."""
         return self.passed_s[:, 4:] + self.radio_s
 
     @property
     def commanded_s(self) -> np.ndarray:
-        """(images, robots) by the unit's clock."""
+        """Return times of commands (images, robots) by the unit's clock."""
         return self.received_s + self.command_s
 
     def places_px(self, image: int) -> np.ndarray:
-        """Where the robots are in an image, (robots, 2)."""
+        """Return the robots' positions in an image, (robots, 2), px."""
         angle = 2 * np.pi * np.arange(len(self.lab.ids)) / len(self.lab.ids)
         return 320 + (200 - image) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
     def goals(self, image: int) -> MotionGoals:
-        """The goals that follow from an image."""
+        """Return the goals that follow from an image."""
         ids = np.array(self.lab.ids)
         ones = np.ones(ids.size)
         near = np.full((ids.size, 1), -1)
@@ -107,7 +107,7 @@ class Script:
         )
 
     def write(self, folder: Path) -> Path:
-        """Write the files of the unit and of all robots into a folder, which is made."""
+        """Write the files of the unit and of all robots into a new folder."""
         folder.mkdir(parents=True, exist_ok=True)
         with ProcessLog(folder / "unit_0.mcap", "unit/0", self.lab, BEGUN_S) as process_log:
             for image in range(self.images):
@@ -127,7 +127,7 @@ class Script:
         return folder
 
     def write_image(self, process_log: ProcessLog, image: int) -> None:
-        """What the unit keeps of an image."""
+        """Write the unit's records of an image."""
         captured_s, arrived_s, begun_s, found_s, sent_s = self.passed_s[image].tolist()
         ids, centers = np.array(self.lab.ids), self.places_px(image)
         square = np.array([[-10, -10], [10, -10], [10, 10], [-10, 10]])
@@ -158,7 +158,7 @@ class Script:
         process_log.put("/stages", sent_s, stages)
 
     def write_decision(self, process_log: ProcessLog, image: int, row: int, robot: int) -> None:
-        """What a robot keeps of an image: a sign of life of the unit, its goals, and a decision.
+        """Write a robot's records of an image: a heartbeat of the unit, its goals, and a decision.
 
         Signs of life take no time in either direction, so that the offset of the clocks is known exactly.
         """

@@ -11,11 +11,11 @@ THRESHOLD = {"triangle": 0.01, "star": 0.005, "grid": 0.01, "circle": 0.01}
 TREES = ("chain", "tree", "failure")
 MIN_SIDE_PX = 18.0
 REPAIR_S = 30.0
-"""TC1 and TC2 are to be back within this time after a unit dies; an own admission counts against it too."""
+"""Time in which TC1 and TC2 must recover after a unit's death, s; an admission counts as well. Chosen."""
 
 
 def check_mission_from_pixels(name: str, *settings: str) -> None:
-    """The shape is formed, and every robot is controlled and commanded all the time."""
+    """Check that the shape is formed, and that every robot is controlled and commanded throughout."""
     mission = load_mission(name, list(settings))
     history = make_history(mission, run_steps(mission))
     summary = summarize(history, 1.0)
@@ -28,7 +28,7 @@ def check_mission_from_pixels(name: str, *settings: str) -> None:
 
 
 def check_noisy_mission(name: str, *settings: str) -> None:
-    """The same on points with the detector's measured noise."""
+    """Check the same on points with the detector's measured noise."""
     mission = load_mission(name, ["perception=noisy", *settings])
     history = make_history(mission, run_steps(mission))
     assert summarize(history, 1.0)["converged"]
@@ -37,7 +37,7 @@ def check_noisy_mission(name: str, *settings: str) -> None:
 
 
 def check_tree_mission(name: str, perception: str, *settings: str) -> None:
-    """The shape is formed by a tree of units, which only a unit's death takes out of TC1-TC5."""
+    """Check that a tree of units forms the shape, and that only a unit's death breaks TC1-TC5."""
     mission = load_mission(name, [f"perception={perception}", *settings])
     history = make_history(mission, steps := list(run_steps(mission)))
     summary = summarize(history, 1.0)

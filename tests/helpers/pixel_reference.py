@@ -25,7 +25,7 @@ class Drawn:
 
 
 def draw(white, x, y, sigma):
-    """T of a marker with white cells (n, n) at points x, y, in sides, each black cell by itself."""
+    """Return T of a marker with white cells (n, n) at points x, y, in sides, as a sum over black cells."""
     n, black = len(white), ~white
 
     def gathered(along):
@@ -42,7 +42,7 @@ def draw(white, x, y, sigma):
 
 
 def columns_of(image, white, where, row, *, sigma, limit, ratio, half_card, texture, round_in_image):
-    """The weighted columns (M, 16), places (M, 2) and pixels (M, 2) of marker `row` of `where`.
+    """Return the weighted columns (M, 16), places (M, 2) and pixels (M, 2) of marker `row` of `where`.
 
     Every pixel of the image is asked whether it is the marker's. `half_card` is None where no ground counts.
     """

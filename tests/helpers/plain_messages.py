@@ -8,7 +8,7 @@ from skyherd.recording.json_codec import to_json
 
 
 def assert_valid(value: Any, schema: dict[str, Any], where: str = "") -> None:
-    """A value has all of its schema's properties and no others, each of the right type."""
+    """Check that a value has exactly its schema's properties, each of the right type."""
     types = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float)}
     assert isinstance(value, types[schema["type"]]) and not isinstance(value, bool), where
     for item in value if schema["type"] == "array" else ():
@@ -20,5 +20,5 @@ def assert_valid(value: Any, schema: dict[str, Any], where: str = "") -> None:
 
 
 def plain(message: dict[str, Any]) -> dict[str, Any]:
-    """A message as it is read from a file."""
+    """Return a message as it is read from a file."""
     return orjson.loads(to_json(message))

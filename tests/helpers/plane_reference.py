@@ -1,4 +1,4 @@
-"""The fit of a plane in NumPy, which the compiled one is held against."""
+"""The fit of a plane in NumPy, the reference for the compiled one."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def _chi_squared(plane: Plane, points: ComplexArray, squeezes: ComplexArray, var
 
 
 def _linear_fall(points: ComplexArray, squeezes: ComplexArray, variances: Array) -> float:
-    """By how much the chi-squared falls with both α and λ, to first order."""
+    """Return the first-order decrease of the chi-squared with both α and λ."""
     weighted, normal = _normal_equations(points, variances)
     (a, h), ((aa, ah), (_, hh)) = (weighted @ squeezes).tolist(), normal.tolist()
     fall = abs(a) ** 2 * hh.real + abs(h) ** 2 * aa.real - 2 * (a.conjugate() * ah * h).real
@@ -48,7 +48,7 @@ def _linear_fall(points: ComplexArray, squeezes: ComplexArray, variances: Array)
 
 
 def _normal_equations(points: ComplexArray, variances: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Weighted columns (2, N) of α and λ, and their normal matrix (2, 2)."""
+    """Return the weighted columns (2, N) of α and λ, and their normal matrix (2, 2)."""
     design = squeeze_design_matrix(points)
     weighted = design.conj().T / variances
     normal = weighted @ design
@@ -58,7 +58,7 @@ def _normal_equations(points: ComplexArray, variances: Array) -> tuple[ComplexAr
 
 
 def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, tilted: bool) -> Plane:
-    """Weighted least squares in α, and in λ if `tilted`; terms of second order are the last round's."""
+    """Solve least squares in α, and in λ if `tilted`; second-order terms are those of the last round."""
     unknowns = 1 + tilted
     weighted, normal = _normal_equations(points, variances)
     covariance = np.zeros((2, 2), dtype=complex)

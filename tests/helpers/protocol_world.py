@@ -1,8 +1,8 @@
-"""A small world for the tree protocol: units that see made robots, and a radio at one's will.
+"""A small world for the tree protocol: units that see given robots, and a controllable radio.
 
-Nothing in it moves of itself. Whoever drives it says when time passes, which unit takes an image, what each
-sees, and what becomes of every message; `agreement`, `holders` and `edge_faults` say what holds at that
-instant. Nothing is known here of how the units decide.
+Nothing in it moves by itself. The caller decides when time passes, which unit takes an image, which robots
+each sees, and the fate of every message; `agreement`, `holders` and `edge_faults` describe the state at that
+instant. The world does not depend on how the units decide.
 """
 
 from collections import Counter
@@ -59,19 +59,19 @@ class ProtocolWorld:
             self.revive(unit)
 
     def revive(self, unit: int) -> None:
-        """A unit that knows nothing."""
+        """Restart a unit without memory."""
         self.nodes[unit] = self.make(self.rule)
         self.sets[unit], self.imaged_s[unit] = set(), self.time_s
 
     def crash(self, unit: int) -> None:
-        """A unit falls silent; what it said is still on its way."""
+        """Silence a unit; its messages in transit still arrive."""
         del self.nodes[unit], self.imaged_s[unit]
         self.sets[unit] = set()
         self.inbox[unit].clear()
         self.waiting = [letter for letter in self.waiting if letter[0] != unit]
 
     def image(self, unit: int) -> None:
-        """A unit takes an image, decides, and reports to all others."""
+        """Let a unit take an image, decide, and report to all others."""
         seen = self._detections(unit)
         reports = list(self.inbox[unit].values())
         selection = self.nodes[unit].choose(seen, reports, self.template, self.latest.get(unit))
@@ -91,7 +91,7 @@ class ProtocolWorld:
         self.waiting += [(other, report) for other in self.nodes if other != unit]
 
     def deliver(self, index: int, *, keep: bool = False) -> None:
-        """A letter arrives, be it late; kept, it will come again."""
+        """Deliver a letter, possibly late; a kept letter arrives again."""
         receiver, report = self.waiting[index]
         if not keep:
             del self.waiting[index]
@@ -99,21 +99,21 @@ class ProtocolWorld:
             self.inbox[receiver][report.unit_id] = report
 
     def deliver_all(self) -> None:
-        """All letters arrive, in the order in which they were sent."""
+        """Deliver all letters in the order of sending."""
         while self.waiting:
             self.deliver(0)
 
     def deliver_to(self, unit: int) -> None:
-        """All letters to one unit arrive; those to others wait."""
+        """Deliver all letters to one unit; letters to others wait."""
         for letter in [letter for letter in self.waiting if letter[0] == unit]:
             self.deliver(self.waiting.index(letter))
 
     def inbox_of(self, unit: int, other: int) -> list[UnitReport]:
-        """What arrived of one unit at another and was not overtaken."""
+        """Return the newest report of one unit that arrived at another, in a list; empty without one."""
         return [report for sender, report in self.inbox[unit].items() if sender == other]
 
     def quiet(self, seconds: float, step_s: float = 0.5) -> None:
-        """Time passes without trouble: every unit takes its images, every letter arrives."""
+        """Advance time without faults: every unit takes its images, and every letter arrives."""
         for _ in range(round(seconds / step_s)):
             self.time_s += step_s
             for unit in list(self.nodes):
@@ -140,16 +140,16 @@ class ProtocolWorld:
     # --- what holds now ---
 
     def holders(self) -> Counter[int]:
-        """How many units control each robot."""
+        """Return the number of units that control each robot."""
         return Counter(robot for members in self.sets.values() for robot in members)
 
     def in_p(self) -> bool:
-        """TC1-TC5 for the living units."""
+        """Return whether TC1-TC5 hold for the living units."""
         sets = {unit: np.array(sorted(self.sets[unit]), dtype=np.int64) for unit in self.nodes}
         return check_conditions(control_matrix(sets, self.template.ids)).in_p
 
     def edge_faults(self, but: Iterable[int] = ()) -> list[str]:
-        """Ends of an edge that disagree by more than the turn under way, sets that share anything else."""
+        """Return edges whose ends differ by more than the current turn, and sets that share other robots."""
         faults = []
         for one in sorted(self.nodes):
             for two in sorted(self.nodes):

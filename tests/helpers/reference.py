@@ -25,18 +25,18 @@ CHORDS = 8
 
 
 def from_pixel_borders(at: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Signed distances (N, P + 1) of points (N,) from the borders of P pixels side by side."""
+    """Return signed distances (N, P + 1) of points (N,) from the borders of P adjacent pixels."""
     assert (np.diff(pixels) == 1).all()
     return at[:, None] - np.append(pixels - 0.5, pixels[-1] + 0.5)[None, :]
 
 
 def pixel_weight(at: np.ndarray, pixels: np.ndarray, psf_px: float) -> np.ndarray:
-    """K(t) at t = at - pixels, (N, P)."""
+    """Return K(t) at t = at - pixels, (N, P)."""
     return -np.diff(ndtr(from_pixel_borders(at, pixels) / psf_px), axis=1)
 
 
 def pixel_gathered(at: np.ndarray, pixels: np.ndarray, psf_px: float) -> np.ndarray:
-    """Q(t), the integral of K from -inf to t, at t = at - pixels, (N, P).
+    """Return Q(t), the integral of K from -inf to t, at t = at - pixels, (N, P).
 
     It is the difference of x Φ(x/s) + s φ(x/s) between the pixel's sides.
     """
@@ -55,10 +55,10 @@ def polygon_edges_light(
     piece_px: float = PIECE_PX,
     nodes: int = NODES,
 ) -> np.ndarray:
-    """Light (rows, columns) of regions bounded by edges (M, 2) to (M, 2).
+    """Return the light (rows, columns) of regions bounded by edges (M, 2) to (M, 2).
 
-    `steps` (M,) is by how much the light is more on the side of smaller u of an edge that runs towards
-    larger v (to its right as one sees it, v pointing down).
+    `steps` (M,) is the excess of light on the side of smaller u. The edge runs towards larger v, which points
+    down, and this side is on its right.
     """
     pieces = np.maximum(np.ceil(np.abs(ends_px - starts_px).max(axis=1) / piece_px), 1).astype(int)
     edge = np.repeat(np.arange(len(pieces)), pieces)
@@ -74,7 +74,7 @@ def polygon_edges_light(
 
 
 def lattice_edges(levels: np.ndarray, image_lattice: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges (starts, ends, steps) of cells (m, m) under a homography from (column, row) to px."""
+    """Return edges (starts, ends, steps) of cells (m, m) under a homography from (column, row) to px."""
     padded = np.pad(levels, 1)
     row, column = np.nonzero(np.diff(padded, axis=1)[1:-1])
     upright = np.stack([column, row], axis=-1), np.stack([column, row + 1], axis=-1)
@@ -97,7 +97,7 @@ def lattice_edges(levels: np.ndarray, image_lattice: np.ndarray) -> tuple[np.nda
 def bent(
     starts: np.ndarray, ends: np.ndarray, steps: np.ndarray, bend: Callable[[np.ndarray], np.ndarray] | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same edges through a lens, in CHORDS straight pieces each, or as they are."""
+    """Return the edges through a lens, in CHORDS straight pieces each, or unchanged."""
     if bend is None:
         return starts, ends, steps
     share = np.linspace(0, 1, CHORDS + 1)[None, :, None]
@@ -107,7 +107,7 @@ def bent(
 
 
 def card_levels(dictionary: str, marker_id: int) -> np.ndarray:
-    """Grey levels (n + 2, n + 2) of a marker with its white card, from OpenCV's own drawing."""
+    """Return grey levels (n + 2, n + 2) of a marker with its white card, as OpenCV draws it."""
     book = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{dictionary}"))
     n = book.markerSize + 2
     drawn = cv2.aruco.generateImageMarker(book, marker_id, 10 * n)[5::10, 5::10]
@@ -126,7 +126,7 @@ def reference_light(
     piece_px: float = PIECE_PX,
     nodes: int = NODES,
 ) -> np.ndarray:
-    """Noise-free light (height, width) of markers flat on a ground of one level, or over an image of it.
+    """Return noise-free light (height, width) of markers flat on a uniform ground, or over a given image.
 
     `images_marker` (N, 3, 3) map marker coordinates (forward, left) in sides to pixels, `bend` takes those
     (M, 2) through a lens. Each marker is drawn over those before it.

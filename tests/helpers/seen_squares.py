@@ -1,4 +1,4 @@
-"""What cameras see of square markers, by projection, with errors of known size."""
+"""Camera views of square markers, by projection, with errors of known size."""
 
 from dataclasses import dataclass, field
 
@@ -17,7 +17,7 @@ CORNERS = np.array([-0.5 - 0.5j, 0.5 - 0.5j, 0.5 + 0.5j, -0.5 + 0.5j])
 
 @dataclass
 class View:
-    """A camera at a pose over robots (N, 2) with headings (N,); corners err by `sigma_px` per axis."""
+    """A posed camera over robots (N, 2) with headings (N,); corners have errors of `sigma_px` per axis."""
 
     camera: Camera = field(default_factory=lambda: Camera((800, 800), FOCAL_PX))
     tilt_deg: tuple[float, float] = (0.0, 0.0)
@@ -33,7 +33,7 @@ class View:
         return CameraPose((-float(x[0]), -float(y[0])), HEIGHT_M, self.yaw_rad, tilt_rad, self.zoom)
 
     def ground(self, points: np.ndarray, pose: CameraPose) -> np.ndarray:
-        """Ground (2, N) under image points (N,) from the centre, in halves of the shorter side."""
+        """Return ground points (2, N) of image points (N,) from the centre, in halves of the shorter side."""
         size = np.array(self.camera.size_px)
         pixels = np.column_stack([points.real, points.imag]) * size.min() / 2 + (size - 1) / 2
         pixels = undistort(self.camera, pose.zoom, pixels)
@@ -51,7 +51,7 @@ class View:
         time_s: float = 0.0,
         told: bool = True,
     ) -> Detections:
-        """Detections with corners, centre, heading and side of four corners that err independently."""
+        """Return detections with centre, heading and side of four corners with independent errors."""
         truth = project_markers(self.camera, self.pose, positions_m, headings_rad, SIDE_M, SIDE_M)
         assert truth.whole.all(), "a robot is out of view"
         count = len(positions_m)
@@ -76,8 +76,11 @@ class View:
         )
 
     def ideal_px(self, image_px: np.ndarray) -> np.ndarray:
-        """Where an ideal camera would have points (N, 2) of the image: the ground from the image's centre,
-        turned so that the mean of both axes' slopes points as they do, the unit circle keeping its size."""
+        """Return the points of an ideal camera for points (N, 2) of the image, px.
+
+        The ground is rotated by the mean slope of both axes at the image's centre. The unit circle keeps its
+        size.
+        """
         size = np.array(self.camera.size_px)
         points = (image_px - (size - 1) / 2) / (size.min() / 2)
         h = 1e-4
@@ -91,7 +94,7 @@ class View:
 
 
 def random_view(seed: int, *, lens: bool = True, tilt_deg: float = 15.0) -> View:
-    """A cheap camera: oblong pixels, skew, a lens that bends, tilted."""
+    """Return a cheap camera: oblong pixels, skew, lens distortion, tilt."""
     rng = np.random.default_rng(seed)
     way, lean = rng.uniform(-np.pi, np.pi), tilt_deg * np.sqrt(rng.uniform())
     while True:
@@ -111,12 +114,12 @@ def random_view(seed: int, *, lens: bool = True, tilt_deg: float = 15.0) -> View
 def random_robots(
     rng: np.random.Generator, count: int, reach_m: float = 2.9
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and headings of robots under the camera."""
+    """Return positions and headings of robots under the camera."""
     return rng.uniform(-reach_m, reach_m, (count, 2)), rng.uniform(-np.pi, np.pi, count)
 
 
 def shape_error(points_px: np.ndarray, positions_m: np.ndarray) -> float:
-    """RMS distance of image points (N, 2) to the best similarity of the ground's, over their RMS radius."""
+    """Return the RMS distance of image points (N, 2) to the best similarity, over their RMS radius."""
     ground, seen = positions_m[:, 0] - 1j * positions_m[:, 1], points_px[:, 0] + 1j * points_px[:, 1]
     ground, seen = ground - ground.mean(), seen - seen.mean()
     turn = np.vdot(ground, seen) / np.vdot(ground, ground)

@@ -9,7 +9,7 @@ PARTS = ("control", "datasets", "render", "vision")
 
 
 def source_files() -> dict[str, Path]:
-    """The file of each module of the package, by the module's full name."""
+    """Return the file of each module of the package, by the module's full name."""
     files = {}
     for folder, package in (("src/skyherd", "skyherd"), *((part, f"skyherd.{part}") for part in PARTS)):
         for path in sorted((ROOT / folder).rglob("*.py")):
@@ -24,5 +24,5 @@ SOURCE_FILES = source_files()
 
 @cache
 def syntax_tree(path: Path) -> ast.Module:
-    """The syntax tree of a file, parsed once for all tests; nobody may change it."""
+    """Return the syntax tree of a file, parsed once for all tests. Callers must not change it."""
     return ast.parse(path.read_text("utf-8"))

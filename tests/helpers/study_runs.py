@@ -1,4 +1,4 @@
-"""What tests of studies share: two small studies, a study made in this process."""
+"""Two small studies, and a study that runs in this process."""
 
 import contextlib
 from collections.abc import Iterator
@@ -39,11 +39,11 @@ keep = ["shape_error", "path_length_m"]
 set = { perception = "noisy", duration_s = 6.0 }
 random = { runs = 10, seed = 5, draw = { "units.0.yaw_deg" = [-180, 180], seed = { whole = [1, 1000] } } }
 """
-"""Ten runs of some tenths of a second, each with its own noise: long enough to be killed in the middle."""
+"""A study of ten runs of some tenths of a second with different noise: slow enough to be killed midway."""
 
 
 def run_in_process(patch: pytest.MonkeyPatch) -> None:
-    """Make runs in this process, one at a time, in place of a cluster."""
+    """Make runs in this process, one at a time, instead of on a cluster."""
 
     def run(client: Any, missions: Any, curves: Any) -> Iterator[list[dict[str, Any]]]:
         for key, mission in missions:

@@ -1,4 +1,4 @@
-"""Display matrices in MP4 files, as cameras that are held otherwise write them."""
+"""Display matrices in MP4 files, as rotated cameras write them."""
 
 import struct
 

@@ -19,7 +19,7 @@ MARKER = "SKYHERD_TEST_MARKER"
 """Variable of the environment by which a test knows the processes that it started."""
 
 PATIENCE_S = 120.0
-"""Time after which a test gives up waiting for a process to begin, s."""
+"""Time after which a test gives up waiting for a process to begin, s. Chosen."""
 
 END_S = 5.0
 """Time in which all processes must end after a kill, s. Chosen: a thousand times what it takes."""
@@ -29,7 +29,7 @@ QUIET_S = 1.5
 
 
 def marked(marker: str) -> set[int]:
-    """Processes with a marker in their environment; a zombie has none."""
+    """Return the processes with a marker in their environment; a zombie has none."""
     found = set()
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():
@@ -42,7 +42,7 @@ def marked(marker: str) -> set[int]:
 
 
 def semaphores(pids: set[int]) -> set[str]:
-    """Named semaphores that processes use."""
+    """Return the named semaphores that processes use."""
     texts = []
     for pid in pids:
         try:
@@ -60,7 +60,7 @@ def wait_until(holds, seconds: float, what: str) -> None:
 
 
 def files(folder: Path) -> dict[str, int]:
-    """Size of each file below a folder."""
+    """Return the size of each file below a folder."""
     return {str(path): path.stat().st_size for path in folder.rglob("*") if path.is_file()}
 
 

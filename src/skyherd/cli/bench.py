@@ -40,7 +40,7 @@ Names = Annotated[
 
 @bench_app.callback()
 def _bench() -> None:
-    """Measure detectors and the speed of the loop."""
+    """Measure detectors on drawings, photographs and boards."""
 
 
 @bench_app.command()
@@ -209,7 +209,7 @@ def boards(
 
 
 def _chosen_and_judges(names: str | None) -> tuple[list[str], list[str]]:
-    """The detectors that are reported, and those by which markers are confirmed.
+    """Return the reported detectors, and those that confirm markers.
 
     Raises:
         InputError: a detector is named twice.
@@ -234,7 +234,7 @@ def _say_result(result: "SetResult", tables: "list[Table]") -> None:
 
 
 def _split(names: str | None) -> list[str]:
-    """Names between commas."""
+    """Return the names between commas."""
     return [name.strip() for name in (names or "").split(",") if name.strip()]
 
 

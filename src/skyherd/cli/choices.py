@@ -1,7 +1,7 @@
 """Values that options take, for their help texts and for shell completion, known without loading the package.
 
 The lists are written out, since loading what they come from would take longer than the help itself. A test
-compares them with the code. What a user gives is checked by the code that uses it.
+compares them with the code. The code that uses a value checks it.
 """
 
 from importlib.util import find_spec
@@ -45,42 +45,42 @@ TABLE_FORMATS = ("csv", "jsonl")
 
 
 def complete_detector(incomplete: str) -> list[str]:
-    """Detectors whose names begin with what has been typed."""
+    """Return the detectors whose names begin with the typed text."""
     return _begin(DETECTORS, incomplete)
 
 
 def complete_paper(incomplete: str) -> list[str]:
-    """Papers whose names begin with what has been typed."""
+    """Return the papers whose names begin with the typed text."""
     return _begin(PAPERS, incomplete)
 
 
 def complete_perception(incomplete: str) -> list[str]:
-    """Kinds of perception whose names begin with what has been typed."""
+    """Return the kinds of perception whose names begin with the typed text."""
     return _begin(PERCEPTIONS, incomplete)
 
 
 def complete_format(incomplete: str) -> list[str]:
-    """Formats of a table whose names begin with what has been typed."""
+    """Return the formats of a table whose names begin with the typed text."""
     return _begin(TABLE_FORMATS, incomplete)
 
 
 def complete_dictionary(incomplete: str) -> list[str]:
-    """Marker dictionaries whose names begin with what has been typed."""
+    """Return the marker dictionaries whose names begin with the typed text."""
     return _begin(DICTIONARIES, incomplete)
 
 
 def complete_scenario(incomplete: str) -> list[str]:
-    """Built-in scenarios, and TOML files and folders, that begin with what has been typed."""
+    """Return the built-in scenarios, TOML files and folders that begin with the typed text."""
     return _built_in("skyherd.datasets", "scenarios", incomplete) + _toml_files(incomplete)
 
 
 def complete_spec(incomplete: str) -> list[str]:
-    """Built-in specs of image sets, and TOML files and folders, that begin with what has been typed."""
+    """Return the built-in specs of image sets, TOML files and folders that begin with the typed text."""
     return _built_in("skyherd.datasets", "specs", incomplete) + _toml_files(incomplete)
 
 
 def complete_study(incomplete: str) -> list[str]:
-    """Built-in studies, and TOML files and folders, that begin with what has been typed."""
+    """Return the built-in studies, TOML files and folders that begin with the typed text."""
     return _built_in("skyherd.study", "specs", incomplete) + _toml_files(incomplete)
 
 
@@ -89,7 +89,7 @@ def _begin(names: tuple[str, ...] | list[str], incomplete: str) -> list[str]:
 
 
 def _built_in(package: str, folder: str, incomplete: str) -> list[str]:
-    """Names of the TOML files in a folder of a package, which is found without being imported."""
+    """Return the names of the TOML files in a folder of a package, without importing it."""
     spec = find_spec(package)
     places = (spec.submodule_search_locations or []) if spec else []
     return _begin(
@@ -98,7 +98,7 @@ def _built_in(package: str, folder: str, incomplete: str) -> list[str]:
 
 
 def _toml_files(incomplete: str) -> list[str]:
-    """TOML files, and folders with a slash behind, whose paths begin with what has been typed."""
+    """Return the TOML files, and the folders with a slash, whose paths begin with the typed text."""
     folder = Path(incomplete).parent if not incomplete.endswith("/") else Path(incomplete)
     if not folder.is_dir():
         return []

@@ -32,7 +32,7 @@ def warn(text: str) -> None:
 
 @contextmanager
 def printing_input_warnings() -> Iterator[None]:
-    """Print what is warned of inputs in the body of the `with` as `warn` does, the same text once only."""
+    """Print warnings about inputs in the body as `warn` does, each text once."""
     said: set[str] = set()
     usual = warnings.showwarning
 

@@ -148,6 +148,6 @@ def _say_rejections(result: "FileResult") -> None:
 
 
 def _pictures(results: list["FileResult"], folder: Path) -> str:
-    """The annotated file, or how many there are."""
+    """Return the annotated file, or the number of files."""
     pictures = [result.picture for result in results if result.picture is not None]
     return str(pictures[0]) if len(pictures) == 1 else f"and {len(pictures)} annotated files in {folder}"

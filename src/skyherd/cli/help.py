@@ -14,7 +14,7 @@ MAX_UNBROKEN = 36
 """Characters of a default that is kept on one line. Chosen: two thirds of a text's column."""
 
 TYPES = {"int": "N", "int range": "N", "float": "NUMBER", "float range": "NUMBER", "path": "PATH"}
-"""What stands for a value of a type whose option has no name for it."""
+"""Placeholder of a value by its type, for options without a name for it."""
 
 NO_BREAK = "\N{NO-BREAK SPACE}"
 """A space at which no line ends."""
@@ -126,13 +126,13 @@ def _placeholder(found: re.Match[str]) -> str:
 
 
 def _unbroken(found: re.Match[str]) -> str:
-    """The default of an option in one piece; one in words loses its parentheses."""
+    """Return the default of an option in one piece; a default in words loses its parentheses."""
     text = re.sub(r"default: \((.*)\)", r"default: \1", found[0])
     return text.replace(" ", NO_BREAK) if len(text) <= MAX_UNBROKEN else text
 
 
 def _wrapped(text: str, width: int) -> list[str]:
-    """Lines of a text, which are never broken within a word, not even at a hyphen."""
+    """Return the lines of the wrapped help text, never broken within a word or at a hyphen."""
     plain = " ".join(re.split(r"[ \t\n]+", text.strip()))
     lines = textwrap.wrap(plain, width, break_long_words=False, break_on_hyphens=False)
     return [line.replace(NO_BREAK, " ") for line in lines]

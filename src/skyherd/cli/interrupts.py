@@ -1,7 +1,7 @@
 """Interrupts (Ctrl-C) and requests to end (SIGTERM, SIGHUP): one way out for all, which tidies up.
 
-Each of the three signals becomes a KeyboardInterrupt in the main thread, so that whatever is open is closed
-as after an error. A verb says in `telling_of_interrupts` what is left, and `skyherd.cli.main` prints it.
+Each of the three signals becomes a KeyboardInterrupt in the main thread, so that resources are closed as
+after an error. A verb states in `telling_of_interrupts` which files remain, and `skyherd.cli.main` prints it.
 """
 
 import signal
@@ -15,15 +15,15 @@ CODES = {"SIGINT": 130, "SIGTERM": 143, "SIGHUP": 129}
 
 
 NOTHING_LEFT = "nothing is left of it"
-"""What is said where a verb says nothing else."""
+"""Text of an interrupt if the verb says nothing else."""
 
 
 class Interrupted(Exception):
-    """A verb was interrupted; the message says what is left. Typer would catch a KeyboardInterrupt."""
+    """Interrupt of a verb; the message names the remaining files. Typer would catch a KeyboardInterrupt."""
 
 
 class EndRequest:
-    """Whether a signal asked the process to end.
+    """Request of a signal that the process ends.
 
     Attributes:
         name: of the first signal, such as SIGTERM; empty if there was none.
@@ -34,17 +34,17 @@ class EndRequest:
         self._asked = threading.Event()
 
     def ask(self, name: str = "") -> None:
-        """Ask for the end, by a signal of this name or for another reason."""
+        """Request the end, by a signal of this name or for another reason."""
         self.name = self.name or name
         self._asked.set()
 
     def is_asked(self) -> bool:
-        """Return whether the end was asked for."""
+        """Return whether the end was requested."""
         return self._asked.is_set()
 
     @property
     def exit_code(self) -> int:
-        """The exit code of a process that ended by the signal; 0 without one."""
+        """Return the exit code of a process that ended by the signal; 0 without one."""
         return CODES.get(self.name, 0)
 
 
@@ -69,7 +69,7 @@ def signals_as_requests() -> Iterator[EndRequest]:
 
 
 class SignalReceived(KeyboardInterrupt):
-    """One of `CODES` was received; `args[0]` is its name."""
+    """Reception of one of `CODES`; `args[0]` is its name."""
 
 
 @contextmanager
@@ -104,10 +104,10 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 @contextmanager
 def telling_of_interrupts(what_is_left: str | Callable[[], str]) -> Iterator[None]:
-    """Turn an interrupt of the body into Interrupted, with what is left in words.
+    """Convert an interrupt of the body into Interrupted, with a text about the remaining files.
 
     Args:
-        what_is_left: the words, or a function that looks for what there is and returns them.
+        what_is_left: the text, or a function that looks for remaining files and returns it.
     """
     try:
         yield
@@ -117,7 +117,7 @@ def telling_of_interrupts(what_is_left: str | Callable[[], str]) -> Iterator[Non
 
 
 def describe(error: BaseException) -> tuple[str, int]:
-    """The line to print of an interrupt, and the exit code.
+    """Return the line to print of an interrupt, and the exit code.
 
     Args:
         error: Interrupted, or a KeyboardInterrupt that no verb has put into words.

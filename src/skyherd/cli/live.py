@@ -1,4 +1,4 @@
-"""`skyherd live`: a lab of real cameras and robots: checked, run, armed, stopped, and decided anew."""
+"""`skyherd live`: check, run, arm and stop a lab of real cameras and robots, and repeat its decisions."""
 
 import json
 from collections.abc import Iterator
@@ -190,7 +190,7 @@ def replay(
         Path, typer.Argument(metavar="DIR|FILE", help="A folder of `skyherd live run`, or a file of it.")
     ],
 ) -> int:
-    """Decide anew from what each process recorded, and compare bit for bit; exit code 1 if they differ."""
+    """Repeat the decisions of each process from its recording; exit code 1 if any bit differs."""
     from skyherd.errors import InputError
     from skyherd.live.logs.replay import replay as replay_file
     from skyherd.live.review import recorded_files
@@ -204,13 +204,13 @@ def replay(
         same &= found.different == 0
         verdict = "same" if not found.different else f"{found.different} differ, first at {found.first_s}"
         rows.append((path.name, str(found.decisions), verdict, "yes" if found.ended else "no"))
-    say_table(("file", "decisions", "decided anew", "ended"), rows, right_aligned={"decisions"})
+    say_table(("file", "decisions", "repeated", "ended"), rows, right_aligned={"decisions"})
     return 0 if same else 1
 
 
 @contextmanager
 def joined_team(lab_file: str, settings: list[str] | None, insecure: bool) -> "Iterator[tuple[Lab, Radio]]":
-    """The lab and its radio, which is left at the end."""
+    """Provide the lab and its radio, and leave the radio at the end."""
     from skyherd.live.lab import load_lab
     from skyherd.live.zenoh_radio import ZenohRadio
 

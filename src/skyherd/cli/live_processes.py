@@ -25,7 +25,7 @@ Offset = Annotated[
 
 
 def _read_to_end(request: EndRequest) -> None:
-    """Read standard input until the process that holds its other end is gone, and ask for the end."""
+    """Read standard input until the process at its other end is gone, then request the end."""
     with suppress(OSError):
         while os.read(sys.stdin.fileno(), 4096):
             pass
@@ -47,7 +47,7 @@ def _process(
     supervised: bool,
     clock_offset_s: float,
 ) -> "Iterator[tuple[ProcessContext, EndRequest]]":
-    """Provide what a unit or a robot of this name needs, until a signal asks for the end."""
+    """Provide the context of a unit or robot of this name until a signal requests the end."""
     from skyherd.live.live_clock import LiveClock
     from skyherd.live.process_context import ProcessContext
 

@@ -88,7 +88,7 @@ def run(
 
 
 def _what_is_left(folder: Path) -> str:
-    """Of an interrupted run; before its first step it has removed what it had made."""
+    """Return the text about the files of an interrupted run; before its first step it has removed them."""
     from skyherd.runner import RECORDING
 
     if not (folder / RECORDING).exists():

@@ -106,7 +106,7 @@ def _require_extra() -> None:
 
 
 def _preview(plan: "Plan", folder: Path, retry: bool) -> int:
-    """A line for each run: whether it is there, and what makes it differ."""
+    """Print a line for each run: whether it is done, and its parameters."""
     from skyherd.study.conduct import preview
 
     missing = preview(plan, folder, retry=retry)

@@ -1,4 +1,4 @@
-"""`skyherd topology`: who controls whom, which of TC1-TC5 hold and why not, and how fast that converges."""
+"""`skyherd topology`: control sets, TC1-TC5 with the reasons of violations, and the convergence rate."""
 
 import os
 from pathlib import Path
@@ -82,7 +82,7 @@ def topology(
 
 
 def _open(source: str) -> tuple["History", Path, bool]:
-    """The history to judge, where its picture goes, and whether it is of a run."""
+    """Return the history, the path of its picture, and whether it is of a run."""
     from skyherd.analysis.history import make_history
     from skyherd.datasets import load_mission
     from skyherd.recording.reader import read_recording
@@ -120,7 +120,7 @@ def _deploy(mission: "Mission") -> "History":
 
 
 def _living_sets(history: "History") -> dict[int, "IntArray"]:
-    """Ids of the robots that each living unit controls at the end of a history."""
+    """Return the ids of the robots that each living unit controls at the end of a history."""
     tree = history.trees[-1]
     dead = frozenset[int]() if tree is None else tree.dead
     return {unit: history.ids[mine] for unit, mine in enumerate(history.controlled[-1]) if unit not in dead}

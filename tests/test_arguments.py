@@ -38,7 +38,7 @@ def run(folder, **options):
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_an_argument_that_is_not_what_is_meant_is_one_line(call, tmp_path) -> None:
+def test_invalid_argument_is_refused_in_one_line(call, tmp_path) -> None:
     attempt, words = CALLS[call]
     with pytest.raises(InputError) as refused:
         attempt(tmp_path / "run")
@@ -46,6 +46,6 @@ def test_an_argument_that_is_not_what_is_meant_is_one_line(call, tmp_path) -> No
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_mission_runs_into_a_folder_given_as_a_text(tmp_path, monkeypatch) -> None:
+def test_mission_runs_into_folder_given_as_text(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(panels, "PANELS", panels.PANELS[1:2])
     assert run(str(tmp_path / "run"))["steps"] > 0 and (tmp_path / "run" / "run.mcap").is_file()

@@ -27,7 +27,7 @@ def test_size_of_model_is_in_marker_sides(keys, rule):
     assert (made.min_sides, made.max_sides) == pytest.approx((rule.min_sides, rule.max_sides))
 
 
-def test_roles_and_bodies_are_none_unless_asked_for():
+def test_roles_and_bodies_are_none_by_default():
     assert make_roles(RolesModel()) is None
     assert make_roles(RolesModel(exchange=True, classes=[0, 1])) == RoleRule(
         period_s=1.0, gain=0.05, classes=(0, 1)

@@ -53,7 +53,7 @@ def too_many_numbers(tree: ast.Module) -> Iterator[str]:
         ("draw(1, 2, 3, 4)", []),
     ],
 )
-def test_the_check_counts_numbers_by_position(source, found) -> None:
+def test_check_counts_positional_numbers(source, found) -> None:
     assert list(too_many_numbers(ast.parse(source))) == found
 
 

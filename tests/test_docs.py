@@ -33,7 +33,7 @@ def page_id(path: Path) -> str:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page.name != "CHANGELOG.md"], ids=page_id)
-def test_files_of_code_that_a_page_names_are_there(page) -> None:
+def test_code_files_that_a_page_names_exist(page) -> None:
     for name in re.findall(r"`(?:python )?((?:\w+/)+\w+\.(?:py|toml))", page.read_text()):
         assert (ROOT / name).is_file(), f"{page.name} names {name}"
 
@@ -48,7 +48,7 @@ def commands(page: Path) -> list[list[str]]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=page_id)
-def test_verbs_and_options_that_a_page_shows_are_those_of_the_program(page) -> None:
+def test_verbs_and_options_on_a_page_exist(page) -> None:
     for words in commands(page):
         command, rest = GROUP, list(words)
         while rest and rest[0] in getattr(command, "commands", {}):
@@ -61,7 +61,7 @@ def test_verbs_and_options_that_a_page_shows_are_those_of_the_program(page) -> N
             assert {word for word in rest if word.startswith("--")} <= known, words
 
 
-def test_the_pages_that_show_commands_are_found() -> None:
+def test_pages_with_commands_are_found() -> None:
     """A negative control of the test above."""
     assert ["run", "star"] in commands(DOCS / "how-to/run.md")
     assert sum(len(commands(page)) for page in PAGES) > 40
@@ -74,7 +74,7 @@ def leaves(command, name: str = ""):
         )
 
 
-def test_the_reference_of_the_command_line_has_every_verb_and_option() -> None:
+def test_command_line_reference_has_every_verb_and_option() -> None:
     text = script("cli_reference").cli_reference()
     parts = dict(zip(*[iter(re.split(r"^## `skyherd( .*)`$", text, flags=re.M)[1:])] * 2, strict=True))
     assert list(parts) == [name for name, _ in leaves(GROUP)]
@@ -83,7 +83,7 @@ def test_the_reference_of_the_command_line_has_every_verb_and_option() -> None:
             assert parameter.param_type_name == "argument" or f"`{parameter.opts[0]}" in parts[name]
 
 
-def test_the_reference_of_scenario_files_has_every_key_of_every_table() -> None:
+def test_scenario_reference_has_every_key() -> None:
     text = script("scenario_reference").scenario_reference()
     schema = Scenario.model_json_schema()
     for name, model in {"Top": schema, **schema["$defs"]}.items():
@@ -94,13 +94,13 @@ def test_the_reference_of_scenario_files_has_every_key_of_every_table() -> None:
     assert "## `units[].camera`" in text
 
 
-def test_every_verb_has_its_how_to_and_every_page_its_place() -> None:
+def test_every_verb_has_a_how_to_and_every_page_a_place() -> None:
     nav = re.findall(r"([\w/-]+\.md)", (ROOT / "mkdocs.yml").read_text())
     assert {f"how-to/{word}.md" for word in GROUP.commands} <= set(nav)
     assert {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")} <= set(nav)
 
 
-def test_scenarios_of_the_tutorial_are_good_and_its_mistake_is_told_as_shown(tmp_path) -> None:
+def test_tutorial_scenarios_are_valid_and_error_is_as_shown(tmp_path) -> None:
     text = (DOCS / "tutorial.md").read_text()
     files = re.findall(r"```toml\n(.*?)```", text, re.S)
     assert [tomllib.loads(file)["name"] for file in files] == ["arrow", "two"]
@@ -114,7 +114,7 @@ def test_scenarios_of_the_tutorial_are_good_and_its_mistake_is_told_as_shown(tmp
     assert str(wrong.value).replace(str(tmp_path / "a.toml"), "arrow.toml") == shown.removeprefix("error: ")
 
 
-def test_the_example_of_the_library_page_that_steers_a_world_runs(capsys) -> None:
+def test_library_page_example_of_a_world_runs(capsys) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (DOCS / "how-to/library.md").read_text(), re.S)
     for block in blocks:
         compile(block, "library.md", "exec")
@@ -122,7 +122,7 @@ def test_the_example_of_the_library_page_that_steers_a_world_runs(capsys) -> Non
     assert "[0. 0. 0. 0.]" in capsys.readouterr().out
 
 
-def test_the_rooms_of_the_architecture_are_the_layers_of_the_contract() -> None:
+def test_architecture_page_lists_layers_of_the_contract() -> None:
     tool = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
     layers = next(one["layers"] for one in tool["contracts"] if one["type"] == "layers")
     meant = [{name.strip() for name in layer.split("|")} for layer in reversed(layers)]

@@ -19,7 +19,7 @@ def load(name):
     return module
 
 
-def test_bring_your_own_world_ends_in_a_square_and_is_short():
+def test_own_world_example_ends_in_square_and_is_short():
     corners = load("bring_your_own_world").main()
     sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     diagonals = np.linalg.norm(corners[2:] - corners[:2], axis=1)
@@ -29,7 +29,7 @@ def test_bring_your_own_world_ends_in_a_square_and_is_short():
     assert len((EXAMPLES / "bring_your_own_world.py").read_text().splitlines()) < 60
 
 
-def test_recorded_video_gives_the_goals_that_the_run_sent(tmp_path):
+def test_recorded_video_example_gives_goals_of_the_run(tmp_path):
     mission = load_mission(
         "circle",
         ["duration_s=0.1", "selection.radius=1.2", "units.0.height_m=18", "units.0.flight.kind=hover"],

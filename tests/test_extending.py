@@ -40,7 +40,7 @@ def frame():
     return sight.image, sight.whole_ids.tolist()
 
 
-def test_the_detector_finds_what_the_named_one_finds(page, frame) -> None:
+def test_example_detector_equals_the_named_one(page, frame) -> None:
     image, whole_ids = frame
     ours = create_detector(dictionary="4X4_50").detect(image)
     plain = page["PlainOpenCV"]("4X4_50").detect(image, time_s=3.0, unit_id=2)
@@ -50,23 +50,23 @@ def test_the_detector_finds_what_the_named_one_finds(page, frame) -> None:
     assert np.abs(plain.centers_px[order] - ours.centers_px[ours_order]).max() < 1.0
 
 
-def test_policy_and_flight_law_bring_the_robots_into_shape(page) -> None:
+def test_example_policy_and_flight_law_form_the_shape(page) -> None:
     step = page["last_steps"][0]
     assert step.metrics.shape.error < 0.05
     assert step.fleet.yaws_rad[0] > 1.0, "it turned all the while"
 
 
-def test_the_robots_law_brings_the_robots_into_shape(page) -> None:
+def test_example_robot_law_forms_the_shape(page) -> None:
     step = page["last_steps"][1]
     assert step.metrics.shape.error < 0.05
 
 
-def test_nothing_is_decided_in_the_fog(page) -> None:
+def test_example_unit_decides_nothing_in_fog(page) -> None:
     """It clears at 5 s; the control set changes at the next slot of two seconds."""
     assert page["first_goal_s"] == pytest.approx(6.0, abs=1e-9)
 
 
-def test_the_recorder_has_a_row_a_step(page) -> None:
+def test_example_recorder_has_one_row_a_step(page) -> None:
     with page["folder"].with_suffix(".csv").open() as file:
         rows = list(csv.DictReader(file))
     times = [float(row["time_s"]) for row in rows]

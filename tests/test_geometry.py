@@ -10,7 +10,7 @@ EXACT = 1e-12
 
 
 @pytest.mark.smoke
-def test_corners_go_round_from_the_front_left_and_forward_is_ahead_in_both_frames() -> None:
+def test_corner_order_starts_at_front_left_in_both_frames() -> None:
     """Front is -i of the marker and +1 of the robot; left is -1 of the marker and +i of the robot."""
     assert SQUARE_CORNERS[:2].imag.tolist() == [-0.5, -0.5]
     assert SQUARE_CORNERS[[0, 3]].real.tolist() == [-0.5, -0.5]
@@ -19,7 +19,7 @@ def test_corners_go_round_from_the_front_left_and_forward_is_ahead_in_both_frame
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_fit_is_that_of_general_least_squares(seed: int) -> None:
+def test_affine_fit_equals_general_least_squares(seed: int) -> None:
     """Against numpy's solution of `p = c + m z + k z̄` on noisy corners, which no affine map explains."""
     rng = np.random.default_rng(seed)
     corners = rng.normal(size=(6, 4)) + 1j * rng.normal(size=(6, 4))
@@ -31,7 +31,7 @@ def test_the_fit_is_that_of_general_least_squares(seed: int) -> None:
 
 
 @pytest.mark.parametrize("heading_rad", [0.0, 0.4, -2.9])
-def test_a_turned_square_has_its_heading_and_no_squeeze(heading_rad: float) -> None:
+def test_rotated_square_has_heading_and_no_anisotropy(heading_rad: float) -> None:
     """Forward, the middle of the edge from corner 0 to corner 1, lies at the heading from the centre."""
     arm = 20 * 1j * np.exp(1j * heading_rad)
     corners = 300 + 200j + arm * SQUARE_CORNERS
@@ -42,7 +42,7 @@ def test_a_turned_square_has_its_heading_and_no_squeeze(heading_rad: float) -> N
     assert front == pytest.approx([10 * np.cos(heading_rad), 10 * np.sin(heading_rad)], abs=1e-9)
 
 
-def test_the_variance_of_rounding_is_that_of_a_uniform_distribution() -> None:
+def test_rounding_variance_equals_uniform_distribution() -> None:
     """The mean of x² over 10⁵ midpoints of [-1/2, 1/2]; midpoints are short of it by a share of 1e-10."""
     x = (np.arange(100_000) + 0.5) / 100_000 - 0.5
     assert np.mean(x**2) == pytest.approx(UNIFORM_VARIANCE, rel=1e-9)

@@ -58,7 +58,7 @@ def ways_past_facades(graph: dict[str, set[str]]) -> set[tuple[str, str]]:
 
 
 @pytest.mark.smoke
-def test_nobody_reaches_past_a_facade(graph) -> None:
+def test_no_module_imports_past_a_facade(graph) -> None:
     past = ways_past_facades(graph)
     assert past == set(), "import these names from the package itself, or export them there"
 
@@ -75,7 +75,7 @@ def test_nobody_reaches_past_a_facade(graph) -> None:
         ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import skyherd.vision.grey", True),
     ],
 )
-def test_a_way_past_a_facade_is_seen(statement, past) -> None:
+def test_import_past_a_facade_is_detected(statement, past) -> None:
     modules = set(SOURCE_FILES)
     outside = {"skyherd.report.pages": imports(ast.parse(statement), modules)}
     assert bool(ways_past_facades(outside)) is past
@@ -111,7 +111,7 @@ def layer_of() -> dict[str, int]:
     return {name.strip(): row for row, layer in enumerate(lowest_first) for name in layer.split("|")}
 
 
-def test_the_package_has_few_rooms_on_few_layers() -> None:
+def test_package_has_few_children_on_few_layers() -> None:
     layers = layer_of()
     assert set(layers) == CHILDREN, "each child of skyherd has its place, and no place is empty"
     assert len(CHILDREN) <= MAX_CHILDREN
@@ -124,7 +124,7 @@ def upward(graph: dict[str, set[str]], layers: dict[str, int]) -> set[tuple[str,
 
 
 @pytest.mark.smoke
-def test_nothing_is_imported_upwards_and_there_is_no_cycle_of_rooms(graph) -> None:
+def test_packages_have_no_upward_import_and_no_cycle(graph) -> None:
     rooms = child_graph(graph)
     assert upward(rooms, layer_of()) == set()
     TopologicalSorter(rooms).prepare()
@@ -134,6 +134,6 @@ def test_nothing_is_imported_upwards_and_there_is_no_cycle_of_rooms(graph) -> No
         TopologicalSorter(rooms).prepare()
 
 
-def test_there_is_no_cycle_of_modules(graph) -> None:
+def test_modules_have_no_import_cycle(graph) -> None:
     """A package is the module of its `__init__`; an import from the package is one of that module."""
     TopologicalSorter({module: targets - {module, "skyherd"} for module, targets in graph.items()}).prepare()

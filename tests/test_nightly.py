@@ -32,7 +32,7 @@ def nightly(load_benchmark):
         ({"missions": 0, "converged": 0}, {"trees", "killed", "survivors", "crowds"}),
     ],
 )
-def test_each_group_of_missions_has_its_own_verdict(nightly, changed, wrong) -> None:
+def test_each_mission_group_has_its_own_verdict(nightly, changed, wrong) -> None:
     """Robots may be uncontrolled for a while after a death; otherwise P always holds."""
     groups = {"trees", "killed", "survivors", "crowds"}
     assert {name for name in groups if not nightly.MISSIONS[name].is_right(GOOD | changed)} == wrong
@@ -41,9 +41,7 @@ def test_each_group_of_missions_has_its_own_verdict(nightly, changed, wrong) -> 
 @pytest.mark.parametrize(
     ("printed", "code", "right"), [(json.dumps(GOOD), 0, True), (json.dumps(GOOD), 1, False), ("", 0, False)]
 )
-def test_a_benchmark_that_breaks_or_says_nothing_is_not_as_it_should_be(
-    nightly, monkeypatch, printed, code, right
-) -> None:
+def test_broken_or_silent_benchmark_fails(nightly, monkeypatch, printed, code, right) -> None:
     commands = []
 
     def run(command, **_):
@@ -56,7 +54,7 @@ def test_a_benchmark_that_breaks_or_says_nothing_is_not_as_it_should_be(
     assert commands[0][-6:] == ["--missions", "20", "--seed", "7000", "--jobs", "2"]
 
 
-def test_the_page_has_a_row_for_each_step_and_shows_what_is_wrong(nightly) -> None:
+def test_page_has_row_for_each_step_and_shows_failures(nightly) -> None:
     outcomes = [
         nightly.Outcome("other slow tests", False, "1 failed | x", 90.0),
         nightly.Outcome("trees", True, "all", 60.0),
@@ -67,7 +65,7 @@ def test_the_page_has_a_row_for_each_step_and_shows_what_is_wrong(nightly) -> No
     ]
 
 
-def test_rows_of_earlier_nights_stay_until_their_step_is_run_again(nightly) -> None:
+def test_earlier_rows_stay_until_their_step_runs_again(nightly) -> None:
     def page(names, day, before=""):
         outcomes = [nightly.Outcome(name, True, f"on {day}", 60.0) for name in names]
         return nightly.as_page(outcomes, datetime.date(2026, 1, day), before)
@@ -82,7 +80,7 @@ def test_rows_of_earlier_nights_stay_until_their_step_is_run_again(nightly) -> N
     assert page([], 4, first) == first
 
 
-def test_every_slow_test_is_in_one_step_and_no_more(nightly) -> None:
+def test_every_slow_test_is_in_exactly_one_step(nightly) -> None:
     """A folder that has a step of its own is left out of the others', and is there."""
     steps = [arguments for arguments in nightly.TESTS.values() if "slow and not random" in arguments]
     folders = {f"tests/{part}" for part in nightly.SLOW_PARTS}
@@ -92,6 +90,6 @@ def test_every_slow_test_is_in_one_step_and_no_more(nightly) -> None:
     assert all((nightly.ROOT / folder).is_dir() for folder in folders)
 
 
-def test_missions_of_two_days_have_no_seed_in_common(nightly) -> None:
+def test_missions_of_two_days_share_no_seed(nightly) -> None:
     """The largest share is all of the published number, 1000 at most."""
     assert max(missions.published for missions in nightly.MISSIONS.values()) <= 1000

@@ -86,7 +86,7 @@ def test_link_over_another_folder_is_refused(small_tree):
     assert ended.returncode == 1 and "remove it" in ended.stderr and len(ended.stderr.splitlines()) == 1
 
 
-def test_the_version_has_one_source():
+def test_version_has_one_source():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     assert "version" not in project["project"]
     assert project["project"]["dynamic"] == ["version"]
@@ -110,7 +110,7 @@ def wheel(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_the_wheel_holds_all_files_under_skyherd_and_nothing_beside(wheel):
+def test_wheel_has_all_files_under_skyherd_only(wheel):
     tops = {name.split("/")[0] for name in wheel}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"skyherd"}
     for package, folder in folders_with_code():

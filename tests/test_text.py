@@ -22,12 +22,12 @@ from skyherd.text import one_of, printable, shorten, table_cell
         ("[red]", "[red]"),
     ],
 )
-def test_what_a_terminal_obeys_or_hides_is_escaped(text, shown):
+def test_control_and_hidden_characters_are_escaped(text, shown):
     assert printable(text) == shown
 
 
 @given(st.text(st.characters(codec=None)))
-def test_whatever_is_shown_can_be_encoded_and_is_one_line(text):
+def test_shown_text_is_encodable_and_one_line(text):
     shown = printable(text)
     shown.encode("utf-8")
     assert len(shown.splitlines()) <= 1 and "\x1b" not in shown
@@ -35,7 +35,7 @@ def test_whatever_is_shown_can_be_encoded_and_is_one_line(text):
 
 
 @given(st.text(max_size=60), st.integers(1, 50))
-def test_a_shortened_text_has_its_length_its_beginning_and_its_end(text, most):
+def test_shortened_text_keeps_beginning_and_end(text, most):
     short = shorten(text, most)
     assert len(short) <= most
     if len(text) > most:
@@ -46,7 +46,7 @@ def test_a_shortened_text_has_its_length_its_beginning_and_its_end(text, most):
 
 
 @given(st.text(st.characters(codec=None)))
-def test_a_cell_is_no_formula_and_survives_csv(text):
+def test_cell_is_no_formula_and_survives_csv(text):
     cell = table_cell(text)
     assert not cell.startswith(("=", "+", "-", "@", "\t", "\r"))
     stream = io.StringIO()
@@ -55,7 +55,7 @@ def test_a_cell_is_no_formula_and_survives_csv(text):
 
 
 @given(st.text(max_size=2000), st.text(max_size=2000), st.text(max_size=2000))
-def test_no_error_of_an_input_is_long(where, what, allowed):
+def test_input_error_is_short(where, what, allowed):
     error = InputError(where, what, allowed)
     assert len(str(error)) <= MAX_CHARACTERS + 4
     if len(where) + len(what) + len(allowed) <= MAX_CHARACTERS:
@@ -63,13 +63,13 @@ def test_no_error_of_an_input_is_long(where, what, allowed):
         assert str(error) == f"{where}: {one_line}; {allowed}"
 
 
-def test_the_longest_part_is_shortened_and_the_others_are_left():
+def test_only_the_longest_part_is_shortened():
     error = InputError("a.toml: key", "x" * 100_000, "1 or more")
     assert (error.where, error.allowed) == ("a.toml: key", "1 or more")
     assert len(str(error)) <= MAX_CHARACTERS + 4
 
 
-def test_an_error_of_a_value_whose_text_has_lines_is_of_one_line():
+def test_error_of_a_multiline_value_is_one_line():
     error = InputError("border bits", "array([[0.],\n       [0.]])", "a whole number")
     assert "\n" not in str(error) and str(error).startswith("border bits: array([[0.], ")
 
@@ -84,5 +84,5 @@ def test_an_error_of_a_value_whose_text_has_lines_is_of_one_line():
         ("s" * 100_000, "one of star, Line"),
     ],
 )
-def test_known_names_follow_the_nearest_one(name, said):
+def test_refusal_lists_nearest_known_name_first(name, said):
     assert one_of(name, ["star", "Line"]) == said

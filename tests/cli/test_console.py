@@ -15,14 +15,14 @@ from skyherd.cli.console import (
 from skyherd.errors import InputWarning
 
 
-def test_results_go_to_stdout_and_the_rest_to_stderr(capsys):
+def test_console_prints_results_to_stdout_and_the_rest_to_stderr(capsys):
     say("[0] of 3")
     complain("a line\n  and another")
     warn("look")
     assert capsys.readouterr() == ("[0] of 3\n", "error: a line and another\nwarning: look\n")
 
 
-def test_what_is_warned_of_an_input_is_one_line_said_once(capsys):
+def test_input_warning_is_one_line_printed_once(capsys):
     with printing_input_warnings():
         for what in ("a.tif: 3 pages", "a.tif: 3 pages", "b.tif: 2 pages"):
             warnings.warn(InputWarning(what), stacklevel=1)
@@ -33,7 +33,7 @@ def test_what_is_warned_of_an_input_is_one_line_said_once(capsys):
         warnings.warn(InputWarning("a.tif: 3 pages"), stacklevel=1)
 
 
-def test_a_table_keeps_brackets_and_is_nothing_without_rows(capsys):
+def test_table_keeps_brackets_and_is_empty_without_rows(capsys):
     say_table(("file", "markers"), [("[red].png", "3"), ("b.png", "12")], right_aligned=("markers",))
     lines = capsys.readouterr().out.splitlines()
     assert [line.split() for line in lines] == [["file", "markers"], ["[red].png", "3"], ["b.png", "12"]]
@@ -50,7 +50,7 @@ def report_files() -> None:
         progress.update("b.mp4", 31, 60, "in the middle")
 
 
-def test_progress_is_shown_on_a_terminal_and_nowhere_else(capsys, monkeypatch):
+def test_progress_is_shown_on_terminals_only(capsys, monkeypatch):
     for name in ("FORCE_COLOR", "TTY_COMPATIBLE"):
         monkeypatch.delenv(name, raising=False)
     report_files()
@@ -58,7 +58,7 @@ def test_progress_is_shown_on_a_terminal_and_nowhere_else(capsys, monkeypatch):
 
 
 @pytest.mark.parametrize("words", [("[a].png", "2/2"), ("b.mp4", "in the middle")], ids=" ".join)
-def test_progress_names_what_is_done_and_how_far_it_is(words, monkeypatch):
+def test_progress_shows_name_and_fraction(words, monkeypatch):
     drawn = []
     monkeypatch.setenv("FORCE_COLOR", "1")
     with ProgressReporter() as progress:

@@ -42,14 +42,14 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_what_is_not_read_of_a_file_is_one_warning(here, capsys) -> None:
+def test_unread_part_of_a_file_is_one_warning(here, capsys) -> None:
     Image.fromarray(sheet()).save("a.tif", save_all=True, append_images=[Image.fromarray(sheet([1, 2, 3]))])
     code, out, err = call(capsys, "a.tif")
     assert (code, err) == (0, "warning: a.tif: 2 pages; the first is read\n") and "4, 11, 30" in out
 
 
 @pytest.mark.smoke
-def test_a_picture_leaves_a_table_and_an_annotated_picture(here, capsys) -> None:
+def test_detect_writes_table_and_annotated_picture(here, capsys) -> None:
     Image.fromarray(sheet()).save("a.png")
     code, out, err = call(capsys, "a.png")
     assert (code, err) == (0, "") and "4, 11, 30" in out
@@ -69,7 +69,7 @@ def test_a_picture_leaves_a_table_and_an_annotated_picture(here, capsys) -> None
     assert hidden == [".skyherd.json"]
 
 
-def test_json_lines_carry_corners_and_covariance(here, capsys) -> None:
+def test_json_lines_have_corners_and_covariance(here, capsys) -> None:
     Image.fromarray(sheet()).save("a.png")
     assert call(capsys, "a.png", "--format", "jsonl", "--out", "x", "--explain")[0] == 0
     rows = [json.loads(line) for line in (here / "x" / "detections.jsonl").read_text().splitlines()]
@@ -78,7 +78,7 @@ def test_json_lines_carry_corners_and_covariance(here, capsys) -> None:
     assert (here / "x" / "rejected.jsonl").read_text() == ""
 
 
-def test_a_folder_is_read_in_the_order_of_names_and_past_what_is_broken(here, capsys) -> None:
+def test_folder_is_read_by_name_and_skips_broken_files(here, capsys) -> None:
     (here / "pics").mkdir()
     for name, ids in (("b.png", [1]), ("a.png", [2, 3]), ("a.bmp", [5])):
         Image.fromarray(sheet(ids)).save(here / "pics" / name)
@@ -97,7 +97,7 @@ def test_a_folder_is_read_in_the_order_of_names_and_past_what_is_broken(here, ca
     assert sorted(path.name for path in (here / "x").glob("*.png")) == ["a.bmp.png", "a.png.png", "b.png"]
 
 
-def test_a_video_is_annotated_frame_by_frame(here, capsys) -> None:
+def test_video_is_annotated_frame_by_frame(here, capsys) -> None:
     frames = [sheet(shift_px=2 * k) for k in range(8)]
     with VideoSink("v.mp4", (frames[0].shape[1], frames[0].shape[0]), 8) as sink:
         for frame in frames:
@@ -115,7 +115,7 @@ def test_a_video_is_annotated_frame_by_frame(here, capsys) -> None:
     assert next(read_frames("detections/v/v.mp4")).shape[1] >= 640
 
 
-def test_why_nothing_was_found_is_said(here, capsys) -> None:
+def test_detect_prints_reason_without_detections(here, capsys) -> None:
     Image.fromarray(sheet([40, 60], dictionary="5X5_100")).save("other.png")
     Image.fromarray(sheet()[:, ::-1]).save("mirror.png")
     Image.fromarray(np.full((80, 80), 90, np.uint8)).save("plain.png")
@@ -127,7 +127,7 @@ def test_why_nothing_was_found_is_said(here, capsys) -> None:
     assert call(capsys, "other.png", "--force", "--require", "--dictionary", "5X5_100")[0] == 0
 
 
-def test_rejections_are_numbered_with_place_and_remedy(here, capsys) -> None:
+def test_rejections_have_number_position_and_remedy(here, capsys) -> None:
     image = sheet()
     small = cv2.resize(image, None, fx=0.16, fy=0.16, interpolation=cv2.INTER_AREA)
     image = np.full((240, 340), 140, np.uint8)
@@ -145,7 +145,7 @@ def test_rejections_are_numbered_with_place_and_remedy(here, capsys) -> None:
     assert rows[-1]["reason"] == "no bits"
 
 
-def test_a_phone_s_video_is_read_upright_and_with_its_own_times(here, capsys) -> None:
+def test_rotated_video_is_read_upright_with_its_own_times(here, capsys) -> None:
     """Held upright, it stores frames turned by 90 degrees; the annotated film keeps the uneven times, too."""
     stored = np.repeat(np.rot90(sheet())[..., None], 3, axis=2)
     times = [0.0, 0.1, 0.5]
@@ -167,7 +167,7 @@ def test_a_phone_s_video_is_read_upright_and_with_its_own_times(here, capsys) ->
     assert [frame.time_s for frame in read_clip(film)] == pytest.approx(times, abs=1e-4)
 
 
-def test_an_interrupted_video_leaves_no_table_and_no_film(here, capsys, monkeypatch) -> None:
+def test_interrupted_video_leaves_no_table_and_no_film(here, capsys, monkeypatch) -> None:
     with VideoSink("v.mp4", (160, 120), 8) as sink:
         for _ in range(5):
             sink.write(np.full((120, 160, 3), 90, np.uint8))
@@ -185,7 +185,7 @@ def test_an_interrupted_video_leaves_no_table_and_no_film(here, capsys, monkeypa
     assert [path.name for path in here.iterdir()] == ["v.mp4"]
 
 
-def test_a_folder_of_folders_is_told_which_of_them_has_pictures(here, capsys) -> None:
+def test_folder_of_folders_names_the_one_with_pictures(here, capsys) -> None:
     (here / "all" / "images" / "train").mkdir(parents=True)
     Image.fromarray(sheet()).save(here / "all" / "images" / "train" / "a.png")
     code, _, err = call(capsys, "all")
@@ -219,7 +219,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(here, capsys, arguments, words
     assert sorted(here.rglob("*")) == before
 
 
-def test_what_turns_out_to_be_unreadable_leaves_nothing(here, capsys) -> None:
+def test_unreadable_input_leaves_no_output(here, capsys) -> None:
     """A video that opens and has no frame, and a folder of nothing but broken pictures."""
     frame = np.zeros((48, 64, 3), np.uint8)
     writer = cv2.VideoWriter("v.avi", cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
@@ -248,7 +248,7 @@ def ids_in(folder):
         return [int(row["id"]) for row in csv.DictReader(file)]
 
 
-def test_each_files_own_dictionary_is_found(tmp_path, capsys):
+def test_dictionary_of_each_file_is_found(tmp_path, capsys):
     photos = tmp_path / "photos"
     photos.mkdir()
     for name in ("4X4_50", "APRILTAG_36h11"):
@@ -269,7 +269,7 @@ def test_each_files_own_dictionary_is_found(tmp_path, capsys):
     ],
     ids=["white on black", "a border of two cells", "an id that repeats"],
 )
-def test_other_kinds_of_markers_are_found_if_asked_for(tmp_path, capsys, image, options, ids, otherwise):
+def test_other_marker_kinds_are_found_on_request(tmp_path, capsys, image, options, ids, otherwise):
     cv2.imwrite(str(tmp_path / "it.png"), image)
     assert call(capsys, tmp_path / "it.png", "--out", tmp_path / "told", *options)[0] == 0
     assert ids_in(tmp_path / "told") == ids
@@ -279,7 +279,7 @@ def test_other_kinds_of_markers_are_found_if_asked_for(tmp_path, capsys, image, 
     assert ids_in(tmp_path / "plain") == otherwise
 
 
-def test_markers_with_a_wide_border_are_explained_as_such(tmp_path, capsys):
+def test_markers_with_a_wide_border_are_explained(tmp_path, capsys):
     """A white cell of the middle one of three is painted over; taken for markers with a border of one cell,
     the other two seem to lack their white margin."""
     image = sheet(dictionary="4X4_50@2")

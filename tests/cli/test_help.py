@@ -23,7 +23,7 @@ ALL = list(verbs())
 
 @pytest.mark.parametrize("columns", [80, 100])
 @pytest.mark.parametrize("words", [words for words, _ in ALL], ids=" ".join)
-def test_help_is_whole_and_free_of_python_types(words, columns, capsys, monkeypatch):
+def test_help_has_whole_lines_and_no_python_types(words, columns, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(columns))
     code, said, err = call(capsys, *words, "--help")
     assert (code, err) == (0, "")
@@ -36,7 +36,7 @@ def test_help_is_whole_and_free_of_python_types(words, columns, capsys, monkeypa
 @pytest.mark.parametrize(
     ("words", "command"), ALL, ids=lambda value: " ".join(value) if isinstance(value, tuple) else ""
 )
-def test_texts_are_sentences(words, command):
+def test_help_texts_are_sentences(words, command):
     assert summary(command).endswith(".")
     for parameter in command.params:
         text = parameter.help or ""
@@ -46,13 +46,13 @@ def test_texts_are_sentences(words, command):
 @pytest.mark.parametrize(
     ("words", "command"), ALL[1:], ids=lambda value: " ".join(value) if isinstance(value, tuple) else ""
 )
-def test_values_of_options_have_names(words, command):
+def test_option_values_have_names(words, command):
     for parameter in command.params:
         if not getattr(parameter, "is_flag", False):
             assert parameter.metavar, (words, parameter.name)
 
 
-def test_verbs_are_in_groups_one_line_each(capsys, monkeypatch):
+def test_verbs_are_grouped_with_one_line_each(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     said = call(capsys, "--help")[1]
     titles = re.findall(r"^(\S.*):$", said, re.M)
@@ -76,7 +76,7 @@ NAMES = {
 """Options by the parameters of verbs."""
 
 
-def test_options_of_one_meaning_have_one_name():
+def test_options_with_equal_meaning_share_a_name():
     found = set()
     for _, command in ALL:
         for parameter in command.params:
@@ -94,7 +94,7 @@ def test_options_of_one_meaning_have_one_name():
         ([("a", "")], ["  a"]),
     ],
 )
-def test_rows_break_between_words_alone(rows, lines):
+def test_help_rows_break_only_between_words(rows, lines):
     class Formatter:
         width = 24
         text = ""

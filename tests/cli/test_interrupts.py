@@ -26,7 +26,7 @@ def raising(error):
 
 
 @pytest.mark.parametrize("name", CODES)
-def test_a_signal_becomes_an_interrupt_and_then_all_is_as_it_was(name):
+def test_signal_becomes_interrupt_and_handlers_are_restored(name):
     number = getattr(signal, name)
     before = signal.getsignal(number)
     with pytest.raises(SignalReceived) as received, signals_as_interrupts():
@@ -40,7 +40,7 @@ def test_a_signal_becomes_an_interrupt_and_then_all_is_as_it_was(name):
     assert signal.getsignal(number) is before
 
 
-def test_a_signal_that_was_ignored_stays_ignored():
+def test_ignored_signal_stays_ignored():
     """As under nohup."""
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
@@ -62,7 +62,9 @@ def test_a_signal_that_was_ignored_stays_ignored():
     ],
     ids=lambda value: " ".join(value[:2]) if isinstance(value, list) else "",
 )
-def test_every_verb_says_in_one_line_what_is_left(tmp_path, monkeypatch, capsys, verb, target, said):
+def test_interrupted_verb_names_remaining_files_in_one_line(
+    tmp_path, monkeypatch, capsys, verb, target, said
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(target, raising(KeyboardInterrupt()))
     code, _, err = call(capsys, *verb)
@@ -75,7 +77,7 @@ def test_every_verb_says_in_one_line_what_is_left(tmp_path, monkeypatch, capsys,
     assert err.startswith("error: ended by SIGTERM; ")
 
 
-def test_an_interrupted_run_leaves_its_recording_and_no_part(tmp_path, monkeypatch, capsys):
+def test_interrupted_run_leaves_recording_and_no_part_files(tmp_path, monkeypatch, capsys):
     write, steps = McapRecorder.write, []
 
     def stop(self, step):
@@ -95,14 +97,14 @@ def test_an_interrupted_run_leaves_its_recording_and_no_part(tmp_path, monkeypat
     assert len(read_recording(out / "run.mcap").steps) == 3
 
 
-def test_of_a_run_that_is_interrupted_before_its_first_step_nothing_is_left(tmp_path, monkeypatch, capsys):
+def test_run_interrupted_before_first_step_leaves_nothing(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(McapRecorder, "write", raising(KeyboardInterrupt()))
     code, _, err = call(capsys, "run", "triangle", "--out", tmp_path / "out", "--perception", "ideal")
     assert (code, err) == (130, "error: interrupted; nothing is left of it\n")
     assert not list(tmp_path.iterdir())
 
 
-def test_sigterm_in_another_process_tidies_up(tmp_path):
+def test_sigterm_of_another_process_removes_partial_output(tmp_path):
     """A video of 8000 frames, ended in its middle, however slowly this process gets to it."""
     size = (320, 240)
     writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, size)

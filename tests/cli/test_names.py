@@ -56,7 +56,7 @@ def marked(monkeypatch):
 
 
 @pytest.mark.parametrize("kind", ["csv", "jsonl"])
-def test_a_folder_of_nasty_names_has_its_whole_table(pictures, capsys, monkeypatch, kind):
+def test_folder_of_unusual_names_has_complete_table(pictures, capsys, monkeypatch, kind):
     """Lines 4 and 9."""
     marked(monkeypatch)
     code, out, err = call(capsys, "detect", "in", "--out", "out", "--format", kind)
@@ -81,7 +81,7 @@ def test_a_folder_of_nasty_names_has_its_whole_table(pictures, capsys, monkeypat
         assert name.isprintable() and len(name.encode()) < 255
 
 
-def test_each_of_them_alone_is_looked_at_and_named_in_one_line(pictures, capsys):
+def test_unusual_name_is_read_and_named_in_one_line(pictures, capsys):
     for name in NASTY:
         code, out, err = call(capsys, "detect", f"in/{name}")
         assert code == 0, err
@@ -103,7 +103,7 @@ def test_each_of_them_alone_is_looked_at_and_named_in_one_line(pictures, capsys)
     ],
     ids=" ".join,
 )
-def test_every_verb_names_them_in_one_line(pictures, capsys, verb):
+def test_every_verb_names_unusual_files_in_one_line(pictures, capsys, verb):
     for name in NASTY:
         code, out, err = call(capsys, *verb, "--", f"in/{name}")
         assert (code, out, err.count("\n")) == (2, "", 1)
@@ -111,18 +111,18 @@ def test_every_verb_names_them_in_one_line(pictures, capsys, verb):
         assert len(err) < 500
 
 
-def test_a_table_shows_no_markup_and_no_escape(capsys):
+def test_table_shows_no_markup_and_no_escape(capsys):
     say_table(("file",), [("[red]a\x1b[2J",)])
     assert r"[red]a\x1b[2J" in capsys.readouterr().out
 
 
-def test_two_names_that_look_alike_have_two_pictures():
+def test_names_that_look_alike_get_separate_pictures():
     files = [Path("a\x01.png"), Path(r"a\x01.png"), Path("a_x01.png"), Path("a.png"), Path("a.jpg")]
     names = picture_names(files)
     assert len(set(names.values())) == len(files)
 
 
-def test_a_terminal_without_utf8_shows_what_it_lacks_escaped(tmp_path):
+def test_terminal_without_utf8_shows_escaped_characters(tmp_path):
     code = "from skyherd.cli import main; main()"
     command = [sys.executable, "-c", code, "scenario", "check", "漢.toml"]
     ended = subprocess.run(

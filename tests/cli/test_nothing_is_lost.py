@@ -53,13 +53,13 @@ def test_detect_never_replaces_a_photograph(here, capsys):
     assert_untouched(here, capsys, "detect", "q/a.jpg", "--out", "q", "--force")
 
 
-def test_detect_never_replaces_its_own_picture_that_is_looked_at(here, capsys):
+def test_detect_never_replaces_its_own_input_picture(here, capsys):
     photograph(here / "a.png")
     assert call(capsys, "detect", "a.png", "--out", "found")[0] == 0
     assert_untouched(here, capsys, "detect", "found/a.png", "--out", "found", "--force")
 
 
-def test_detect_never_removes_a_table_that_it_did_not_make(here, capsys):
+def test_detect_never_removes_a_foreign_table(here, capsys):
     """A table of the user in a folder of pictures stays."""
     photograph(here / "a.png")
     for name in ("detections.csv", "rejected.jsonl"):
@@ -73,7 +73,7 @@ def test_detect_never_removes_a_table_that_it_did_not_make(here, capsys):
     assert set(before.values()) <= set(after.values())
 
 
-def test_topology_overwrites_no_file_unasked_and_none_that_is_not_its_own(here, capsys):
+def test_topology_replaces_only_its_own_file(here, capsys):
     """Neither a file of the user nor another verb's file is replaced."""
     (here / "pic.png").write_bytes(b"a photograph")
     assert_untouched(here, capsys, "topology", "triangle", "--out", "pic.png")
@@ -88,14 +88,14 @@ def test_topology_overwrites_no_file_unasked_and_none_that_is_not_its_own(here, 
 
 
 @pytest.mark.parametrize("name", ["video.mp4", "summary.json", "report.html", "run.mcap"])
-def test_run_never_removes_what_is_of_no_run(here, capsys, name):
+def test_run_never_removes_foreign_files(here, capsys, name):
     """Files that no run made stay in the folder."""
     (here / "mine").mkdir()
     (here / "mine" / name).write_text("precious")
     assert_untouched(here, capsys, "run", "triangle", "--out", "mine", "--force", *QUICK)
 
 
-def test_run_and_report_replace_their_own_and_leave_the_rest(here, capsys):
+def test_run_and_report_replace_only_their_own_files(here, capsys):
     assert call(capsys, "run", "triangle", "--out", "out", *QUICK)[0] == 1
     (here / "out" / "notes.txt").write_text("precious")
     assert call(capsys, "run", "triangle", "--out", "out", "--force", *QUICK)[0] == 1
@@ -106,7 +106,7 @@ def test_run_and_report_replace_their_own_and_leave_the_rest(here, capsys):
     assert (here / "out" / "notes.txt").read_text() == "precious"
 
 
-def test_report_makes_no_file_over_one_of_another(here, capsys):
+def test_report_never_replaces_a_foreign_file(here, capsys):
     """The recording lies in a folder with files of the user."""
     call(capsys, "run", "triangle", "--out", "out", *QUICK)
     (here / "sent").mkdir()
@@ -117,7 +117,7 @@ def test_report_makes_no_file_over_one_of_another(here, capsys):
     assert call(capsys, "report", "sent")[0] == 0
 
 
-def test_markers_replaces_no_other_pdf(here, capsys):
+def test_markers_never_replaces_a_foreign_pdf(here, capsys):
     arguments = ["markers", "--ids", "0", "--side", "3cm", "--out", "thesis.pdf"]
     (here / "thesis.pdf").write_bytes(b"%PDF years of work")
     assert_untouched(here, capsys, *arguments, "--force")
@@ -127,7 +127,7 @@ def test_markers_replaces_no_other_pdf(here, capsys):
     assert call(capsys, *arguments, "--force")[0] == 0
 
 
-def test_dataset_make_keeps_out_of_other_folders(here, capsys):
+def test_dataset_make_refuses_foreign_folders(here, capsys):
     (here / "mine").mkdir()
     (here / "mine" / "preview.png").write_bytes(b"mine")
     assert_untouched(here, capsys, "dataset", "make", "small", "--out", "mine")
@@ -135,7 +135,7 @@ def test_dataset_make_keeps_out_of_other_folders(here, capsys):
     assert_untouched(here, capsys, "dataset", "make", "small", "--out", ".")
 
 
-def test_bench_needs_force_for_its_own_and_takes_nothing_else(here, capsys):
+def test_bench_replaces_only_its_own_files_and_with_force(here, capsys):
     (here / "mine").mkdir()
     (here / "mine" / "bench.json").write_text("precious")
     assert_untouched(here, capsys, "bench", "detectors", "--quick", "--out", "mine")
@@ -159,7 +159,7 @@ def measure(request, here):
     return ["bench", request.param, "in", "--detector", "opencv"]
 
 
-def test_measurements_on_photographs_replace_only_their_own(here, capsys, measure):
+def test_photograph_measurement_replaces_only_its_own_files(here, capsys, measure):
     result = f"{measure[1]}.json"
     taken = hashes(here / "in")
     assert call(capsys, *measure, "--out", "out")[0] == 0
@@ -178,7 +178,7 @@ def test_measurements_on_photographs_replace_only_their_own(here, capsys, measur
     assert call(capsys, *measure, "--out", "out", "--force")[0] == 0
 
 
-def test_measurements_on_photographs_take_no_file_of_others(here, capsys, measure):
+def test_photograph_measurement_refuses_foreign_files(here, capsys, measure):
     result = f"{measure[1]}.json"
     (here / "mine" / "figures").mkdir(parents=True)
     (here / "mine" / result).write_text("precious")
@@ -194,7 +194,7 @@ def test_measurements_on_photographs_take_no_file_of_others(here, capsys, measur
     assert_untouched(here, capsys, *measure, "--out", "mine", "--force")
 
 
-def test_measurements_on_photographs_never_replace_what_they_read(here, capsys, measure):
+def test_photograph_measurement_never_replaces_its_input(here, capsys, measure):
     """The folder itself keeps every file, and pictures that skyherd made are not replaced while looked at."""
     taken = hashes(here / "in")
     assert_untouched(here, capsys, *measure, "--out", "in")
@@ -206,7 +206,7 @@ def test_measurements_on_photographs_never_replace_what_they_read(here, capsys, 
     assert_untouched(here, capsys, *measure, "--sets", "sets.toml", "--out", "in", "--force")
 
 
-def test_names_of_sets_and_photographs_may_be_anything(here, capsys, measure):
+def test_set_and_photograph_names_can_be_any_text(here, capsys, measure):
     """They are drawn and written, and are no formulas in either."""
     _, data = cv2.imencode(".png", np.full((40, 60), 90, np.uint8))
     for name in ("=cmd().png", "\x1b[31m.png", "$\\frac$.png", os.fsdecode(b"\xff.png")):
@@ -220,14 +220,14 @@ def test_names_of_sets_and_photographs_may_be_anything(here, capsys, measure):
 
 
 @pytest.mark.parametrize("verb", [["markers", "--ids", "0", "--side", "3cm"], ["topology", "triangle"]])
-def test_a_name_that_no_file_can_have_leaves_the_record_as_it_was(here, capsys, verb):
+def test_impossible_file_name_leaves_record_unchanged(here, capsys, verb):
     kind = {"markers": ".pdf", "topology": ".png"}[verb[0]]
     assert call(capsys, *verb, "--out", f"good{kind}")[0] in (0, 1)
     assert_untouched(here, capsys, *verb, "--out", "n" * 300 + kind)
 
 
 @pytest.mark.parametrize("when", ["reading", "drawing"])
-def test_measurements_on_photographs_that_fail_leave_nothing(here, capsys, measure, monkeypatch, when):
+def test_failed_photograph_measurement_leaves_nothing(here, capsys, measure, monkeypatch, when):
     if when == "reading":
         (here / "in" / "b.png").write_text("no picture")
     else:
@@ -253,14 +253,14 @@ def test_measurements_on_photographs_that_fail_leave_nothing(here, capsys, measu
         ('board = { kind = "aruco", columns = 2, rows = 2, first_id = 47 }', "ids up to 50"),
     ],
 )
-def test_sets_of_photographs_that_mean_nothing_are_one_line(here, capsys, measure, wrong, said):
+def test_invalid_photograph_set_is_one_line(here, capsys, measure, wrong, said):
     key = wrong.partition(" ")[0]
     lines = [wrong if line.startswith(f"{key} ") else line for line in SETS.splitlines()]
     (here / "in" / "photographs.toml").write_text("\n".join(lines))
     assert_refused(call(capsys, *measure, "--out", "out"), "photographs.toml: [desk]", said)
 
 
-def test_study_replaces_no_table_of_another(here, capsys, write_study, without_cluster):
+def test_study_never_replaces_a_foreign_table(here, capsys, write_study, without_cluster):
     study = write_study()
     (here / "out").mkdir()
     (here / "out" / "study.json").write_text("{}")
@@ -289,7 +289,7 @@ def test_study_replaces_no_table_of_another(here, capsys, write_study, without_c
     ],
     ids=lambda arguments: " ".join(arguments)[:50],
 )  # fmt: skip
-def test_what_fails_leaves_no_new_folder(here, capsys, arguments):
+def test_failed_verb_leaves_no_new_folder(here, capsys, arguments):
     (here / "text.png").write_text("no picture")
     os.mkfifo(here / "pipe")
     before = sorted(here.rglob("*"))

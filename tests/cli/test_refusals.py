@@ -7,7 +7,7 @@ from skyherd.datasets import scenario_text
 from skyherd.live.lab import lab_text
 
 
-def test_each_problem_of_a_file_has_its_line(tmp_path, capsys):
+def test_each_problem_of_a_file_has_its_own_line(tmp_path, capsys):
     file = tmp_path / "mine.toml"
     text = scenario_text("star").replace("duration_s = ", "duration = ", 1)
     file.write_text(text.replace("[marker]", "[marker]\nside = 1", 1))
@@ -32,12 +32,12 @@ def test_each_problem_of_a_file_has_its_line(tmp_path, capsys):
         (["detect", "a.png", "--dictionary", "DICT_9X9"], ["no dictionary 'DICT_9X9'"]),
     ],
 )
-def test_wrong_option_is_the_place(arguments, words, capsys, tmp_path, monkeypatch):
+def test_wrong_option_is_named_as_place(arguments, words, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert_refused(call(capsys, *arguments), *words)
 
 
-def test_markers_and_detect_take_names_of_opencv(capsys, tmp_path, monkeypatch):
+def test_markers_and_detect_accept_names_of_opencv(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     sheet = ["markers", "--ids", "0", "--side", "3cm", "--out", "a.pdf", "--dictionary"]
     assert call(capsys, *sheet, "DICT_APRILTAG_36h11")[0] == 0
@@ -65,7 +65,7 @@ def test_report_names_the_verb_that_takes_a_configuration(capsys, tmp_path):
         (["report"], "run"),
     ],
 )
-def test_a_scenario_or_a_recording_in_the_wrong_place_is_named(verb, wanted, capsys, tmp_path):
+def test_misplaced_scenario_or_recording_is_named(verb, wanted, capsys, tmp_path):
     (tmp_path / "star.toml").write_text(scenario_text("star"))
     (tmp_path / "x.mcap").write_bytes(b"\x89MCAP0\r\n")
     refused = call(capsys, *verb, tmp_path / "star.toml")
@@ -88,5 +88,5 @@ def test_a_scenario_or_a_recording_in_the_wrong_place_is_named(verb, wanted, cap
         ),
     ],
 )
-def test_a_built_in_name_of_another_kind_is_named(arguments, said, capsys):
+def test_built_in_name_of_another_kind_is_named(arguments, said, capsys):
     assert_refused(call(capsys, *arguments), said)

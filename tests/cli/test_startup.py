@@ -62,13 +62,13 @@ def loaded_by(*codes: str) -> list[set[str]]:
     return [{name.split(".")[0] for name in line.split()} for line in lines]
 
 
-def test_importing_the_package_loads_nothing_heavy():
+def test_package_import_loads_no_heavy_module():
     (loaded,) = loaded_by("import skyherd; assert skyherd.__version__; dir(skyherd)")
     assert "skyherd" in loaded
     assert loaded.isdisjoint({*HEAVY, "typer"})
 
 
-def test_asking_for_help_loads_nothing_heavy():
+def test_help_loads_no_heavy_module():
     """Of one verb after the other in one process: what is loaded stays so, the first to load it is told."""
     helps = [
         f"from skyherd.__main__ import main; sys.argv[1:] = {[*verb, '--help']}; main()" for verb in VERBS
@@ -79,12 +79,12 @@ def test_asking_for_help_loads_nothing_heavy():
         assert loaded.isdisjoint(set(HEAVY) - by_typer), verb
 
 
-def test_what_the_check_of_loaded_modules_sees():
+def test_check_of_loaded_modules_detects_numpy():
     """A negative control: a name of the entrance does load NumPy when it is used."""
     assert {"numpy", "scipy"} <= loaded_by("import skyherd; skyherd.Template")[0]
 
 
-def test_what_sees_and_flies_loads_no_figures():
+def test_live_modules_load_no_matplotlib():
     """A live process is started on small computers, and Matplotlib is for figures alone."""
     datasets, unit = loaded_by("import skyherd.datasets", "import skyherd.live.unit_process")
     assert "numpy" in datasets
@@ -103,13 +103,13 @@ def top_imports(path: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("path", sorted((PACKAGE / "cli").glob("*.py")), ids=lambda path: path.name)
-def test_a_verb_imports_at_its_top_only_what_is_light(path):
+def test_verb_module_imports_only_light_modules_at_top(path):
     light = ("typer", "skyherd.errors", "skyherd.text", "skyherd.version", "skyherd.cli")
     heavy = {name for name in top_imports(path) if not name.startswith(light)} - sys.stdlib_module_names
     assert {name for name in heavy if name.split(".")[0] not in sys.stdlib_module_names} == set()
 
 
-def test_every_name_of_the_entrance_is_there_and_is_the_one_of_its_package():
+def test_public_name_is_the_object_of_its_package():
     for name, module in skyherd._MODULE_BY_NAME.items():
         assert getattr(skyherd, name) is getattr(importlib.import_module(module), name)
     assert sorted(skyherd.__all__) == sorted([*skyherd._MODULE_BY_NAME, "__version__"])
@@ -118,14 +118,14 @@ def test_every_name_of_the_entrance_is_there_and_is_the_one_of_its_package():
         skyherd.nonsense  # noqa: B018
 
 
-def test_type_checkers_see_the_same_names_from_the_same_modules():
+def test_type_checkers_see_equal_names_from_equal_modules():
     tree = ast.parse((PACKAGE / "__init__.py").read_text())
     block = next(node for node in tree.body if isinstance(node, ast.If))
     seen = {alias.name: node.module for node in block.body for alias in node.names}
     assert seen == skyherd._MODULE_BY_NAME
 
 
-def test_no_module_of_the_package_imports_the_entrance():
+def test_no_module_imports_the_top_package():
     """It would load what it needs through a detour, and close a circle."""
     for path in SOURCE_FILES.values():
         if not re.search(r"from\s+skyherd\s+import|import\s.*\bskyherd\b(?![.\w])", path.read_text("utf-8")):
@@ -136,14 +136,14 @@ def test_no_module_of_the_package_imports_the_entrance():
             assert not (isinstance(node, ast.ImportFrom) and node.module == "skyherd"), path
 
 
-def test_the_lists_for_help_and_completion_are_those_of_the_code():
+def test_help_and_completion_lists_match_the_code():
     assert list(choices.DETECTORS) == detector_names()
     assert list(choices.PAPERS) == list(PAPERS_MM)
     assert choices.TABLE_FORMATS == FORMATS
     assert sorted(choices.DICTIONARIES) == sorted({canonical_name(name) for name in dictionary_names()})
 
 
-def test_the_help_names_what_an_option_takes(capsys):
+def test_help_names_option_values(capsys):
     said = " ".join(call(capsys, "detect", "--help")[1].split()).replace(
         "- ", "-"
     )  # lines end at hyphens, too
@@ -194,14 +194,14 @@ def completions(request, tmp_path, monkeypatch, capfd):
     ],
     ids=lambda value: " ".join(value),
 )
-def test_the_shell_completes_verbs_options_and_their_values(tmp_path, completions, words, offered):
+def test_shell_completes_verbs_options_and_values(tmp_path, completions, words, offered):
     (tmp_path / "folder").mkdir()
     for name in ("mine.toml", "folder/other.toml", "folder/notes.txt"):
         (tmp_path / name).write_text("")
     assert completions(*words) == offered
 
 
-def test_the_completion_script_is_printed_and_calls_the_program(capsys, monkeypatch):
+def test_completion_script_is_printed_and_calls_program(capsys, monkeypatch):
     monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
     code, said, _ = call(capsys, "--show-completion", "bash")
     assert code == 0

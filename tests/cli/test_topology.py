@@ -33,7 +33,7 @@ def is_picture(path: Path) -> bool:
         return min(image.size) > 300 and bool(np.ptp(np.asarray(image.convert("L"))) > 100)
 
 
-def test_a_scenario_is_shown_after_deployment(tmp_path, capsys, monkeypatch, ideal_failure) -> None:
+def test_topology_shows_scenario_after_deployment(tmp_path, capsys, monkeypatch, ideal_failure) -> None:
     monkeypatch.chdir(tmp_path)
     code, said, _ = call(capsys, "topology", "failure")
     assert code == 0
@@ -47,7 +47,7 @@ def test_a_scenario_is_shown_after_deployment(tmp_path, capsys, monkeypatch, ide
     assert is_picture(tmp_path / "failure-topology.png")
 
 
-def test_a_run_tells_who_died_and_what_was_measured(run, capsys) -> None:
+def test_topology_of_a_run_shows_deaths_and_measured_rate(run, capsys) -> None:
     code, said, _ = call(capsys, "topology", run)
     assert code == 0, "the heir has repaired the tree by then"
     for words in ("unit 0 died", "no unit → unit 1", "the tree is complete", "measured"):
@@ -59,7 +59,7 @@ def test_a_run_tells_who_died_and_what_was_measured(run, capsys) -> None:
     assert (run / "mine.svg").read_bytes().endswith(b"</svg>\n")
 
 
-def test_free_overlaps_name_their_breaches_and_are_exit_code_1(tmp_path, capsys) -> None:
+def test_free_overlaps_list_violations_with_exit_code_1(tmp_path, capsys) -> None:
     code, said, _ = call(capsys, "topology", "star", "--out", tmp_path / "star.png")
     assert code == 1
     for words in ("units 0 and 1 share", "controlled by 3 units", "units on a cycle: 0, 1, 2"):

@@ -62,7 +62,7 @@ SUMMARY_KEYS = [
 
 
 @pytest.mark.parametrize("figures", [2, pytest.param(len(PANELS), marks=pytest.mark.slow)])
-def test_a_run_leaves_all_it_promises(tmp_path, capsys, monkeypatch, figures):
+def test_run_writes_all_documented_files(tmp_path, capsys, monkeypatch, figures):
     monkeypatch.setattr(panels, "PANELS", PANELS[:figures])
     out = tmp_path / "run"
     code, said, _ = call(
@@ -82,7 +82,7 @@ def test_a_run_leaves_all_it_promises(tmp_path, capsys, monkeypatch, figures):
 
 
 @pytest.mark.smoke
-def test_reaching_the_shape_is_exit_code_0(tmp_path, capsys):
+def test_reached_shape_has_exit_code_0(tmp_path, capsys):
     """A goal so wide that the start is within it."""
     wide = ["--set", "goal.shape_error=9", "--set", "goal.hold_s=0.5"]
     code, said, _ = call(capsys, "run", "triangle", "--out", tmp_path / "run", *SHORT, *wide)
@@ -90,7 +90,7 @@ def test_reaching_the_shape_is_exit_code_0(tmp_path, capsys):
     assert "shape reached" in said
 
 
-def test_report_makes_the_same_summary_again(tmp_path, capsys):
+def test_report_reproduces_the_summary(tmp_path, capsys):
     out = tmp_path / "run"
     call(capsys, "run", "star", "--out", out, *SHORT)
     first = (out / "summary.json").read_text()
@@ -101,7 +101,7 @@ def test_report_makes_the_same_summary_again(tmp_path, capsys):
     assert (out / "report.html").read_text().count("<img") == 1
 
 
-def test_a_report_that_cannot_be_written_advises_what_its_verb_can_do(tmp_path, capsys):
+def test_unwritable_report_suggests_options_of_its_verb(tmp_path, capsys):
     out = tmp_path / "run"
     call(capsys, "run", "star", "--out", out, *SHORT)
     (out / "report.html").write_text("mine")
@@ -109,7 +109,7 @@ def test_a_report_that_cannot_be_written_advises_what_its_verb_can_do(tmp_path, 
     assert_refused(refused, "report.html: was changed since skyherd made it; move it away\n")
 
 
-def test_what_is_no_folder_of_a_run_is_said(tmp_path, capsys):
+def test_report_refuses_folder_without_run(tmp_path, capsys):
     (tmp_path / "a.txt").write_text("mine")
     (tmp_path / "empty").mkdir()
     for name, words in (("none", "no such folder"), ("a.txt", "is a file"), ("empty", "no run.mcap in it")):
@@ -117,13 +117,13 @@ def test_what_is_no_folder_of_a_run_is_said(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("verb", [("scenario", "check"), ("live", "check"), ("dataset", "make"), ("study",)])
-def test_a_folder_in_place_of_a_file_is_said_to_be_one(verb, tmp_path, capsys):
+def test_folder_instead_of_a_file_is_named(verb, tmp_path, capsys):
     refused = call(capsys, *verb, tmp_path)
     assert_refused(refused, f"'{tmp_path}': is a folder; a TOML file or one of ")
 
 
 @pytest.mark.parametrize("arguments", [["detect", ""], ["detect", "a.png", "--out", ""], ["track", "--out="]])
-def test_an_empty_argument_is_refused(arguments, tmp_path, capsys, monkeypatch):
+def test_empty_argument_is_refused(arguments, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert_refused(call(capsys, *arguments), "is empty; give a name or a value")
     assert list(tmp_path.iterdir()) == []
@@ -138,11 +138,11 @@ def test_an_empty_argument_is_refused(arguments, tmp_path, capsys, monkeypatch):
         (["--no"], "skyherd"),
     ],
 )
-def test_a_wrong_option_names_the_help_of_its_own_verb(arguments, path, capsys):
+def test_wrong_option_names_help_of_its_verb(arguments, path, capsys):
     assert_refused(call(capsys, *arguments), f"; see `{path} --help`\n")
 
 
-def test_report_films_again_from_recorded_images(tmp_path, capsys):
+def test_report_makes_video_from_recorded_images(tmp_path, capsys):
     out = tmp_path / "run"
     call(capsys, "run", "triangle", "--out", out, "--set", "duration_s=0.5", "--no-video", "--record-images")
     assert not (out / "video.mp4").exists()
@@ -151,7 +151,7 @@ def test_report_films_again_from_recorded_images(tmp_path, capsys):
     assert (out / "video.mp4").stat().st_size > 10_000
 
 
-def test_an_existing_folder_is_refused_and_left_alone_without_force(tmp_path, capsys):
+def test_existing_folder_is_refused_without_force(tmp_path, capsys):
     out = tmp_path / "run"
     out.mkdir()
     assert_refused(call(capsys, "run", "star", "--out", out, *SHORT), str(out), "--force")
@@ -165,14 +165,14 @@ def test_an_existing_folder_is_refused_and_left_alone_without_force(tmp_path, ca
     assert (out / "report.html").exists()
 
 
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path, capsys):
+def test_impossible_output_folder_is_refused(tmp_path, capsys):
     file = tmp_path / "file"
     file.write_text("")
     assert_refused(call(capsys, "run", "star", "--out", file, *SHORT), str(file), "is a file")
     assert_refused(call(capsys, "run", "star", "--out", file / "below", *SHORT), "file/below")
 
 
-def test_a_full_disk_is_refused_before_the_run(tmp_path, capsys, monkeypatch):
+def test_full_disk_is_refused_before_the_run(tmp_path, capsys, monkeypatch):
     usage = runner.shutil.disk_usage(tmp_path)
     monkeypatch.setattr(runner.shutil, "disk_usage", lambda path: usage._replace(free=5 * 2**20))
     out = tmp_path / "run"
@@ -180,7 +180,7 @@ def test_a_full_disk_is_refused_before_the_run(tmp_path, capsys, monkeypatch):
     assert not out.exists()
 
 
-def test_a_disk_that_fills_up_in_mid_run_is_one_line(tmp_path, capsys, monkeypatch):
+def test_disk_that_fills_up_during_run_is_one_line(tmp_path, capsys, monkeypatch):
     def full(self, step):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -194,7 +194,7 @@ def test_a_disk_that_fills_up_in_mid_run_is_one_line(tmp_path, capsys, monkeypat
 
 
 @pytest.mark.usefixtures("few_figures")
-def test_a_disk_that_fills_up_later_leaves_what_was_recorded(tmp_path, capsys, monkeypatch):
+def test_disk_that_fills_up_later_leaves_the_recording(tmp_path, capsys, monkeypatch):
     write, steps = McapRecorder.write, []
 
     def full(self, step):
@@ -242,7 +242,7 @@ def test_bad_arguments_are_one_line(tmp_path, capsys, monkeypatch, arguments, wo
     assert not list(tmp_path.iterdir())
 
 
-def test_a_mirrored_stream_is_named_and_touches_nothing(tmp_path, capsys):
+def test_mirrored_stream_is_named_and_leaves_nothing(tmp_path, capsys):
     out, mirrored = tmp_path / "run", ["--set", "units.0.camera.mirrored=true"]
     assert_refused(call(capsys, "run", "triangle", "--out", out, *mirrored), "unit 0", "mirrored", "flip")
     assert not out.exists()
@@ -252,13 +252,13 @@ def test_a_mirrored_stream_is_named_and_touches_nothing(tmp_path, capsys):
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 
-def test_a_mirrored_stream_whose_first_frame_is_lost_is_named_at_the_next(tmp_path, capsys):
+def test_mirrored_stream_without_first_frame_is_named_at_next(tmp_path, capsys):
     settings = ["units.0.camera.mirrored=true", "network.frame_loss=0.7", "duration_s=3.0"]
     flags = [part for setting in settings for part in ("--set", setting)]
     assert_refused(call(capsys, "run", "triangle", "--out", tmp_path / "run", *flags), "mirrored")
 
 
-def test_a_camera_that_sees_no_robot_is_warned_about_and_not_refused(tmp_path, capsys):
+def test_camera_without_robots_gets_a_warning(tmp_path, capsys):
     code, _, err = call(
         capsys, "run", "star", "--out", tmp_path / "run", *SHORT, "--set", "units.2.position_m=[200, 0]"
     )
@@ -266,7 +266,7 @@ def test_a_camera_that_sees_no_robot_is_warned_about_and_not_refused(tmp_path, c
     assert "warning: unit 2 sees no robot" in err
 
 
-def test_goals_forgotten_between_two_images_are_warned_about(tmp_path, capsys):
+def test_goals_stale_between_two_images_get_a_warning(tmp_path, capsys):
     slow = ["--set", "units.1.frame_rate_hz=1"]
     assert (
         "warning: unit 1 takes images less often than robots.timeout_s"
@@ -274,7 +274,7 @@ def test_goals_forgotten_between_two_images_are_warned_about(tmp_path, capsys):
     )
 
 
-def test_scenario_verbs(capsys):
+def test_scenario_verbs_list_show_and_check(capsys):
     code, listed, _ = call(capsys, "scenario", "list")
     assert code == 0
     assert all(name in listed for name in ("triangle", "star", "grid", "circle"))
@@ -283,7 +283,7 @@ def test_scenario_verbs(capsys):
     assert json.loads(call(capsys, "scenario", "schema")[1])["title"] == "Scenario"
 
 
-def test_a_killed_run_still_gives_its_figures(tmp_path, capsys):
+def test_killed_run_still_has_figures(tmp_path, capsys):
     out = tmp_path / "run"
     command = [sys.executable, "-c", "from skyherd.cli import main; main()", "run", "star", "--out", str(out)]
     command += ["--perception", "ideal"]
@@ -303,7 +303,7 @@ def test_a_killed_run_still_gives_its_figures(tmp_path, capsys):
     assert len(list((out / "figures").glob("*.png"))) == 1
 
 
-def test_an_interrupt_while_the_program_loads_is_obeyed():
+def test_interrupt_during_loading_ends_program():
     # A finder that is asked for skyherd.cli stands for the user's Ctrl-C at that moment.
     interrupt = """
 import runpy, sys
@@ -318,6 +318,6 @@ runpy.run_module("skyherd", run_name="__main__")
     assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "interrupted\n")
 
 
-def test_the_package_runs_as_a_program():
+def test_package_runs_as_a_program():
     command = [sys.executable, "-m", "skyherd", "--version"]
     assert subprocess.check_output(command, text=True).startswith("skyherd ")

@@ -209,7 +209,7 @@ test_sets_of_photographs, test_sets_of_photographs_long = sets_of_photographs
 
 
 @pytest.mark.parametrize("verb", [["run"], ["topology"], ["study"], ["dataset", "make"]], ids=" ".join)
-def test_a_pipe_or_a_device_is_no_file_of_any_verb(verb):
+def test_every_verb_refuses_pipes_and_devices(verb):
     with playground() as folder:
         os.mkfifo("a.toml")
         for name in ("a.toml", "/dev/zero", "."):

@@ -83,7 +83,7 @@ test_images, test_images_long = images
 
 
 @pytest.mark.parametrize("name", ["photometric", "tracking", "opencv"])
-def test_a_detector_of_no_dictionary_is_refused_when_it_is_made(name):
+def test_detector_without_dictionary_is_refused(name):
     with pytest.raises(skyherd.InputError, match="no dictionary 'x'"):
         skyherd.create_detector(name, dictionary="x")
 
@@ -91,7 +91,7 @@ def test_a_detector_of_no_dictionary_is_refused_when_it_is_made(name):
 @pytest.mark.parametrize(
     "border_bits", [0, 4, 1.5, "2", None, np.zeros(0), np.ones(2), float("nan")], ids=repr
 )
-def test_a_border_that_is_no_number_of_cells_is_refused(border_bits):
+def test_border_that_is_no_number_of_cells_is_refused(border_bits):
     with pytest.raises(skyherd.InputError, match="border bits"):
         skyherd.create_detector(border_bits=border_bits)
 
@@ -173,6 +173,6 @@ def test_nonsense_arguments_give_no_attribute_error(name):
         call_as_nonsense(CALLABLES[name], [SAME[k] for k in rng.integers(len(SAME), size=6)])
 
 
-def test_an_attribute_error_of_nonsense_is_noticed():
+def test_check_notices_attribute_error_of_nonsense():
     with pytest.raises(AttributeError):
         call_as_nonsense(lambda seen: seen.ids, [3])

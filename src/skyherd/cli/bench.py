@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from skyherd.bench.set_result import SetResult
     from skyherd.bench.table import Table
 
-bench_app = typer.Typer(help="Measure detectors and the speed of the loop.", rich_markup_mode=None)
+bench_app = typer.Typer(help="Measure detectors on drawings, photographs and boards.", rich_markup_mode=None)
 
 FULL_FRAMES, FULL_BUDGET_S = 300, 5.0
 QUICK_FRAMES, QUICK_BUDGET_S = 20, 0.4

@@ -27,6 +27,29 @@ FOLDERS = (
 EXEMPT = ("CHANGELOG.md", "vision/photometric/", "render/raster/")
 """Beginnings of the paths that are exempt from the list of words."""
 
+PENDING = (
+    "control/tree/node_state.py",
+    "datasets/",
+    "render/",
+    "src/skyherd/jobs/",
+    "src/skyherd/live/drivers/driver.py",
+    "src/skyherd/live/lab/",
+    "src/skyherd/live/world/process.py",
+    "src/skyherd/live/zenoh_radio.py",
+    "src/skyherd/recording/mcap_log.py",
+    "src/skyherd/sim/",
+    "src/skyherd/study/cluster.py",
+    "src/skyherd/tracking/",
+    "tests/datasets/",
+    "tests/live/",
+    "tests/render/",
+    "tests/sim/",
+    "tests/vision/",
+    "vision/",
+)
+"""Beginnings of the paths whose text is not rewritten yet. The list only shrinks: an entry without a finding
+fails a test."""
+
 MAX_NAME = 60
 """Characters of the longest test name. Chosen: it fits a line of pytest's report."""
 
@@ -89,7 +112,8 @@ def is_exempt(path: Path) -> bool:
     return path.relative_to(ROOT).as_posix().startswith(EXEMPT)
 
 
-def test_prose_has_no_unused_word() -> None:
+def words_in_tree() -> list[str]:
+    """Return path, line and word of each unused word of the tree."""
     found = []
     for path in files(".py") + files(".md"):
         if is_exempt(path):
@@ -100,15 +124,30 @@ def test_prose_has_no_unused_word() -> None:
         found += [
             f"{place}:{first + line}: {word}" for first, prose in texts for line, word in found_words(prose)
         ]
+    return found
+
+
+def names_in_tree() -> list[str]:
+    """Return path and name of each test whose name is too long."""
+    tests = [path for path in files(".py") if path.relative_to(ROOT).parts[0] == "tests"]
+    return [
+        f"{path.relative_to(ROOT).as_posix()}: {name}" for path in tests for name in long_names(parsed(path))
+    ]
+
+
+def test_prose_has_no_unused_word() -> None:
+    found = [one for one in words_in_tree() if not one.startswith(PENDING)]
     assert not found, "\n".join(["words that CONTRIBUTING.md replaces:", *found])
 
 
 def test_test_names_have_at_most_60_characters() -> None:
-    tests = [path for path in files(".py") if path.relative_to(ROOT).parts[0] == "tests"]
-    found = [
-        f"{path.relative_to(ROOT).as_posix()}: {name}" for path in tests for name in long_names(parsed(path))
-    ]
+    found = [one for one in names_in_tree() if not one.startswith(PENDING)]
     assert not found, "\n".join([f"names of more than {MAX_NAME} characters:", *found])
+
+
+def test_each_pending_path_has_a_finding() -> None:
+    found = words_in_tree() + names_in_tree()
+    assert [path for path in PENDING if not any(one.startswith(path) for one in found)] == []
 
 
 def test_check_reads_words_and_files_of_the_tree() -> None:

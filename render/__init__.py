@@ -1,15 +1,15 @@
-"""World to pixels: images of a team of marked robots from above, and the exact truth about them.
+"""Rendered images of a team of marked robots from above, with exact ground truth.
 
-`Renderer` draws the grey image of a `Shot`: textured ground with clutter, marker cards and occluders, seen
-through lens and shutter, made noisy by the sensor, and processed by the camera. `project_markers` and
-`Renderer.truth` say where each marker is in the same image. Nothing here depends on detectors or controllers.
+`Renderer` draws the grey image of a `Shot`: textured ground with clutter, marker cards and occluders. It
+models lens, shutter, sensor noise and the camera's image processing. `project_markers` and `Renderer.truth`
+return the ground truth of the same image. The package does not depend on detectors or controllers.
 
-Rendering is exact, not supersampled. Each pixel sums, in closed form, the steps of grey at the few lines of a
-card's grid that reach it, by their distances in the image (`skyherd.render.raster.kernels.lattices`). How far
-a line reaches, through lens blur and square pixels, is one table (`skyherd.render.raster.edge`). Tilt,
-perspective, lens and rolling shutter only change where a pixel lies on the card and how far each line is from
-it. Nothing is filtered or resampled. Against an independent reference (`tests/helpers/reference.py`,
-supersampled) the worst pixel is off by 0.2 grey levels of 200, and the root mean square is under 0.04.
+Rendering is exact, not supersampled. Each pixel sums, in closed form, the grey steps at the grid lines of a
+card near it, by their distances in the image (`skyherd.render.raster.kernels.lattices`). The edge spread
+function of lens blur and square pixels is a table (`skyherd.render.raster.edge`). Tilt, perspective, lens and
+rolling shutter only change the pixel's position on the card and its distance to each line. Markers are
+neither filtered nor resampled. The error against an independent supersampled reference
+(`tests/helpers/reference.py`) is at most 0.2 grey levels of 200, and 0.04 RMS.
 """
 
 from skyherd.render.camera.camera import (

@@ -1,7 +1,7 @@
-"""The ground: a periodic texture, band-limited at every scale it is seen at, with clutter on it.
+"""Ground: a periodic texture, band-limited at each scale, with clutter on it.
 
-A texture is kept at several resolutions, each low-passed by the image's own blur at that resolution, so that
-drawing it by one warp per image does not alias. What a camera that stands still sees is kept and copied.
+A texture is stored at several resolutions (a mipmap). Each is low-passed by the image's blur at that
+resolution, so that one warp per image does not alias. The view of a camera at rest is cached.
 """
 
 from collections import deque
@@ -20,53 +20,51 @@ from skyherd.render.view import ShapeImages
 
 GroundKind = Literal["plain", "concrete", "tiles", "image"]
 KINDS: tuple[GroundKind, ...] = ("plain", "concrete", "tiles", "image")
-"""Kinds of ground: one grey level, noise with a 1/f spectrum, square tiles, or a repeated picture."""
+"""Kinds of ground: uniform grey, noise with a 1/f spectrum, square tiles, or a repeated picture."""
 
 FINEST = PERIOD
-"""Samples along a period of the finest texture. *Derived*: that in which textures are made."""
+"""Samples per period of the finest texture. *Derived*: the resolution of the generated textures."""
 
 COARSEST = 2
-"""Samples along a period of the coarsest texture. *Derived*: the least number that has a spectrum to cut."""
+"""Samples per period of the coarsest texture. *Derived*: the smallest number with a spectrum to truncate."""
 
 SAMPLES_PER_PX = 1.2
-"""Samples of the texture that the image's pixels ask for, before rounding down to a power of two. *Chosen*:
-between 0.6 and 1.2 samples a pixel; fewer blur the ground, more cost memory, and are hidden by the image's
-own blur."""
+"""Texture samples per pixel, before rounding down to a power of two. *Chosen*: results in 0.6 to 1.2 samples
+per pixel. Fewer blur the ground; more cost memory, and the image's blur hides them."""
 
 KEPT = 6
-"""Drawn grounds that are kept. *Chosen*: those of so many cameras that stand still; each is as large as an
+"""Number of cached ground images. *Chosen*: one for each of six cameras at rest; each is as large as an
 image."""
 
 VIEW_SAMPLES = 2000
-"""Textures are laid side by side until a view of so many samples fits. *Chosen*: larger than usual images; a
-warp that has to wrap costs six times as much."""
+"""Samples of a view that fits into the repeated texture without wrapping. *Chosen*: larger than usual images;
+a warp that wraps takes six times as long."""
 
 APART_BYTES = 64
-"""Between the end of a texture's row and the next row. *Derived*: rows that are a power of two apart
-compete for the same lines of the processor's cache, where a view is turned by about a right angle: a warp of
-800x800 then took 4.8 ms in place of 1.6 (*measured*); a line of the cache in between sets them apart."""
+"""Padding between the rows of a texture, bytes. *Derived*: one cache line. Without it rows are a power of two
+apart and evict each other if a view is rotated by about 90 degrees. *Measured*: a warp of 800x800 px then
+took 4.8 ms instead of 1.6 ms."""
 
 AFFINE = 1e-12
-"""Homographies whose last row differs from (0, 0, 1) by less are drawn as affine, which costs less.
-*Derived*: over images of 1e4 px this moves a sample by 1e-4 px at most."""
+"""Difference of a homography's last row from (0, 0, 1) below which it is drawn as affine, which is faster.
+*Derived*: over images of 1e4 px this moves a sample by at most 1e-4 px."""
 
 
 class Ground:
     """Endless textured ground, drawn by one warp per image.
 
     Args:
-        seed: of the texture.
-        kind: `plain`; `concrete`, noise with a spectrum that falls as 1/f; `tiles`; or `image`.
-        mean: grey level.
-        contrast: standard deviation, grey levels; for tiles, between them.
+        seed: seed of the texture.
+        kind: `plain`; `concrete`, noise with a 1/f spectrum; `tiles`; or `image`.
+        mean: mean grey level.
+        contrast: standard deviation, grey levels; for tiles, that between tiles.
         tile_m: period of concrete, width of an image, or side of one tile; metres.
         sigma_px: blur of lens and pixel, in image pixels.
         image: grey picture (height, width) for the kind `image`, repeated, its upper edge to the north.
-        clutter: dark quadrilaterals that lie on it.
+        clutter: dark quadrilaterals on the ground; None for none.
 
     Raises:
-        InputError: there is no such kind, or an image is given without the kind `image` or the other way
-            round.
+        InputError: the kind is unknown, or not exactly one of the kind `image` and an image is given.
     """
 
     def __init__(
@@ -103,7 +101,7 @@ class Ground:
         self._drawn: dict[bytes, Image] = {}
 
     def draw(self, homography: Array, size_px: tuple[int, int]) -> Image:
-        """The texture as a pinhole camera sees it, without clutter: grey levels (height, width).
+        """Return the pinhole image (height, width) of the texture without clutter, in grey levels.
 
         Args:
             homography: (3, 3) from ground metres to pixels.
@@ -123,10 +121,10 @@ class Ground:
         return drawn
 
     def draw_bent(self, images: ShapeImages) -> Image:
-        """The texture as seen through lens and rolling shutter: grey levels (height, width).
+        """Return the image (height, width) of the texture through lens and rolling shutter, in grey levels.
 
-        `images` are those of the ground itself, in metres (`View.ground`). Each pixel looks up its own
-        sample.
+        Args:
+            images: images of the ground in metres (`View.ground`).
         """
         width, height = size = images.camera.size_px
         if self.kind == "plain":
@@ -147,7 +145,7 @@ class Ground:
         )
 
     def _choose(self, homography: Array, size_px: tuple[int, int]) -> tuple[Image, Array]:
-        """The texture fine enough for a view, and the map (3, 3) from pixels to its samples."""
+        """Return the texture at the resolution of a view, and the map (3, 3) from pixels to its samples."""
         width, height = size_px
         image_ground = inverse(homography)
         center = image_ground @ [width / 2, height / 2, 1.0]
@@ -168,9 +166,9 @@ class Ground:
 
 @lru_cache(maxsize=2)
 def _concrete_spectrum(seed: int, mean: float, contrast: float) -> npt.NDArray[np.complex128]:
-    """Spectrum (PERIOD, PERIOD // 2 + 1) of concrete, not to be written to.
+    """Return the read-only spectrum (PERIOD, PERIOD // 2 + 1) of concrete.
 
-    The last two are kept: making one takes half a second, and who runs a mission again has the same ground.
+    The last two are cached: computing one takes half a second, and repeated runs of a mission share it.
     """
     spectrum = np.fft.rfft2(concrete(seed, mean, contrast))
     spectrum.flags.writeable = False
@@ -178,7 +176,7 @@ def _concrete_spectrum(seed: int, mean: float, contrast: float) -> npt.NDArray[n
 
 
 def _laid(tile: Image, copies: int) -> Image:
-    """A square texture side by side, so many times along either side, with `APART_BYTES` between rows."""
+    """Return `copies` x `copies` repetitions of a square texture, with `APART_BYTES` between rows."""
     side = copies * len(tile)
     laid = np.empty((side, side + APART_BYTES), dtype=np.uint8)[:, :side]
     laid.reshape(copies, len(tile), copies, len(tile))[:] = tile[None, :, None, :]
@@ -186,7 +184,7 @@ def _laid(tile: Image, copies: int) -> Image:
 
 
 def _warp(laid: Image, sample_image: Array, size_px: tuple[int, int]) -> Image:
-    """Image of `size_px` whose pixel x is `laid`, repeated, at `sample_image` times x."""
+    """Return the image of `size_px` whose pixel x is `laid`, repeated, at `sample_image` times x."""
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     matrix = sample_image / sample_image[2, 2]
     if np.abs(matrix[2, :2]).max() < AFFINE:
@@ -197,13 +195,13 @@ def _warp(laid: Image, sample_image: Array, size_px: tuple[int, int]) -> Image:
 
 
 def _local_scale(homography: Array, at_m: Array) -> float:
-    """Pixels a metre near one ground point: root of the Jacobian's determinant."""
+    """Return the scale near a ground point, pixels per metre: root of the Jacobian's determinant."""
     w = homography[2] @ [*at_m, 1.0]
     return float(np.sqrt(abs(np.linalg.det(homography)) / abs(w) ** 3))
 
 
 def _band_limited(spectrum: npt.NDArray[np.complex128], samples: int, sigma: float) -> Image:
-    """A texture at a resolution of `samples` a period, blurred by sigma samples."""
+    """Return a texture at a resolution of `samples` per period, blurred by sigma samples."""
     fy, fx = np.fft.fftfreq(PERIOD)[:, None] * PERIOD, np.fft.rfftfreq(PERIOD)[None, :] * PERIOD
     half = samples // 2
     rows = np.r_[0:half, PERIOD - half : PERIOD]

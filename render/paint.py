@@ -1,7 +1,7 @@
-"""Lays flat shapes over an image: grids of grey cells, such as marker cards, and discs.
+"""Compositing of flat shapes over an image: grids of grey cells, such as marker cards, and discs.
 
-Each pixel keeps what the shape does not cover of it: `F + (1 - A) background`, with F the shape's light that
-the pixel gathers and A the share of the pixel that it covers (`skyherd.render.raster.kernels`).
+A pixel becomes `F + (1 - A) background`, where F is the light of the shape in the pixel and A the coverage of
+the pixel by the shape (`skyherd.render.raster.kernels`).
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ from skyherd.render.raster.edge import REACH, EdgeSpread, Float
 from skyherd.render.view import ShapeImages
 
 Canvas = npt.NDArray[np.uint8] | Float
-"""An image (height, width) that is drawn on: grey levels of 8 bits, or light as float32."""
+"""Image (height, width) to draw on: grey levels of 8 bits, or light as float32."""
 
 RING: Array = 1.0824 * np.exp(2j * np.pi * (np.arange(8) + 0.5) / 8).view(float).reshape(8, 2)
 """Corners (8, 2) of an octagon around the unit circle. *Derived*: its corners lie just beyond `1 / cos(π / 8)
@@ -22,20 +22,20 @@ RING: Array = 1.0824 * np.exp(2j * np.pi * (np.arange(8) + 0.5) / 8).view(float)
 
 
 def framed(levels: npt.NDArray[np.floating]) -> Float:
-    """Grey levels (N, m, m) of grids, rows along y, in a border of empty cells, for `paint_lattices`."""
+    """Return grey levels (N, m, m) of grids, rows along y, with a border of zeros: (N, m + 2, m + 2)."""
     return np.pad(levels.astype(np.float32), ((0, 0), (1, 1), (1, 1)))
 
 
 def paint_lattices(canvas: Canvas, images: ShapeImages, levels: Float, spread: EdgeSpread) -> None:
-    """Lay grids of grey cells over the canvas, in place, each over those before it.
+    """Draw grids of grey cells over the canvas, in place, in their order.
 
     Args:
-        canvas: the image drawn on.
-        images: of the N grids; they take (column, row), from 0 to the number of cells, to pixels.
-        levels: the grids' grey levels (N, m + 2, m + 2), `framed`.
-        spread: how lens and pixel spread an edge.
+        canvas: the image to draw on.
+        images: images of the N grids, from (column, row), 0 to the number of cells, to pixels.
+        levels: grey levels (N, m + 2, m + 2) of the grids, from `framed`.
+        spread: edge spread function of lens and pixel.
     """
-    # Imported with the first shape that is drawn: it takes half a second, and who draws nothing does without.
+    # Imported here, since it takes half a second and processes that draw nothing do not need it.
     from skyherd.render.raster.kernels.lattices import lay_lattices
 
     m = levels.shape[1] - 2.0
@@ -44,16 +44,22 @@ def paint_lattices(canvas: Canvas, images: ShapeImages, levels: Float, spread: E
 
 
 def paint_discs(canvas: Canvas, images: ShapeImages, levels: Array, spread: EdgeSpread) -> None:
-    """Lay discs of grey `levels` (N,) over the canvas, in place; `images` take the unit disc to pixels."""
+    """Draw discs of grey `levels` (N,) over the canvas, in place; `images` take the unit disc to pixels."""
     from skyherd.render.raster.kernels.discs import lay_discs  # as above
 
     lay_discs(levels.astype(np.float32), *_arguments(canvas, images, RING, spread))
 
 
 def _arguments(canvas: Canvas, images: ShapeImages, corners: Array, spread: EdgeSpread) -> tuple[Any, ...]:
-    """What kernels end with (`kernels.pixels.SHAPES`), of shapes bounded by `corners` (V, 2) of their own.
+    """Return the last arguments of a kernel (`kernels.pixels.SHAPES`), for the shapes in view.
 
-    Only shapes that are seen are among them. Of image and light the one is empty that the canvas is not.
+    Of the arguments image and light, the one that is not the canvas is empty.
+
+    Args:
+        canvas: the image to draw on.
+        images: images of the shapes.
+        corners: (V, 2) corners of a polygon around a shape, in shape coordinates.
+        spread: edge spread function of lens and pixel.
     """
     size_px, margin = images.camera.size_px, REACH * spread.sigma_px
     ahead = np.flatnonzero(images.before_horizon(corners))

@@ -1,7 +1,7 @@
-"""Draws images: marker cards on textured ground, through a camera, onto a noisy sensor.
+"""Renderer of marker cards on textured ground, through a camera, with sensor noise.
 
-Drawn in this order, each over what was before it: ground, clutter, markers, occluders. Motion blur is the
-mean of sharp images over the exposure, defocus and coma that over the rays through the lens.
+Drawing order: ground, clutter, markers, occluders. Motion blur is the mean of sharp images over the exposure.
+Defocus and coma are the mean over rays through the pupil.
 """
 
 from collections.abc import Callable
@@ -23,28 +23,26 @@ from skyherd.render.truth import FrameTruth, moving_markers, project_markers
 from skyherd.render.view import View
 
 Light = Float
-"""What falls on the sensor, in grey levels, (height, width)."""
+"""Light on the sensor, in grey levels, (height, width)."""
 
 MAX_INSTANTS = 64
-"""Sharp images at most whose mean is a blurred one. *Chosen*: right for streaks of up to 120 standard
-deviations of blur, some 100 px; longer ones show steps."""
+"""Maximum number of sharp images per motion-blurred image. *Chosen*: sufficient for streaks of up to 120
+standard deviations of blur, about 100 px; longer ones show steps."""
 
 
 class Renderer:
-    """Draws a team of marked robots as a camera would see it, and tells where each marker is.
-
-    The same renderer serves many cameras.
+    """Renderer of camera images of a team of marked robots, with ground truth, for any number of cameras.
 
     Args:
         dictionary: marker dictionary, such as `4X4_50`.
         side_m: side of the black square.
-        ground: what the robots drive on.
-        sensor: what turns light into grey levels.
+        ground: ground with its clutter.
+        sensor: model from light to grey levels.
         psf_px: standard deviation of the lens's Gaussian blur.
         black: grey level of the markers' black.
         white: grey level of the card.
         shutter: exposure and row time: motion blur and rolling shutter.
-        lens_blur: defocus and coma, beside the Gaussian.
+        lens_blur: defocus and coma, besides the Gaussian.
     """
 
     def __init__(
@@ -68,10 +66,10 @@ class Renderer:
         self._cards = framed(np.zeros((0, 1, 1)))
 
     def render(self, shot: Shot) -> Image:
-        """Draw the image that a camera takes.
+        """Render the camera image of a shot.
 
         Returns:
-            Grey levels (height, width), with the sensor's noise, which differs from call to call.
+            Grey levels (height, width), with sensor noise that differs in each call.
         """
         if self.sensor.linear and self.lens_blur.none and not self.shutter.exposure_s:
             view = self._view(shot)
@@ -79,13 +77,11 @@ class Renderer:
         return self.sensor.expose(self.light(shot), shot.stream)
 
     def light(self, shot: Shot) -> Light:
-        """Draw what falls on the sensor: `render` without the sensor, in grey levels (height, width).
+        """Render the light on the sensor: `render` without the sensor, in grey levels (height, width).
 
-        Nothing is rounded but the ground's texture.
-
-        Motion blur is the mean over the exposure, by Gauss-Legendre quadrature with a sharp image for every
-        two standard deviations of blur that anything moves, and two more; defocus and coma are the mean over
-        the rays through the lens (`skyherd.render.camera.lens_blur`).
+        Only the ground's texture is rounded. Motion blur is the mean over the exposure, by Gauss–Legendre
+        quadrature. It has a node for every two standard deviations of blur of the longest motion, and two
+        more. Defocus and coma are the mean over rays through the pupil (`skyherd.render.camera.lens_blur`).
         """
         ground, size_px = self.ground, shot.camera.size_px[::-1]
         total: Light | None = None
@@ -101,7 +97,7 @@ class Renderer:
         return np.zeros(size_px, dtype=np.float32) if total is None else total
 
     def truth(self, shot: Shot) -> FrameTruth:
-        """Return the exact truth about the image that `render` draws of the same shot."""
+        """Return the exact ground truth of the image that `render` draws of the same shot."""
         return project_markers(
             shot.camera,
             shot.pose,
@@ -119,9 +115,9 @@ class Renderer:
         return View(shot.camera, shot.pose, shot.motion, self.shutter, at_s, ray)
 
     def _instants(self, shot: Shot) -> list[tuple[float, float]]:
-        """Instants within the exposure, s, and their weights, which sum to one: nodes of Gauss and Legendre.
+        """Return the Gauss–Legendre nodes of the exposure, s, and their weights, which sum to one.
 
-        How many follows from the longest way, px, that a marker or a corner of the ground in view moves.
+        Their number follows from the longest motion, px, of a marker or of the ground at an image corner.
         """
         half_s, motion = self.shutter.exposure_s / 2, shot.motion
         if not half_s or motion.still:
@@ -141,7 +137,7 @@ class Renderer:
         return [(float(x * half_s), float(w / 2)) for x, w in zip(nodes, weights, strict=True)]
 
     def _rays(self, shot: Shot) -> list[tuple[Ray | None, float]]:
-        """Rays through the lens and their weights, which sum to one: the middle one if the lens is sharp."""
+        """Return rays through the pupil and their weights, which sum to one; the central one if sharp."""
         blur = self.lens_blur
         if blur.none:
             return [(None, 1.0)]
@@ -158,7 +154,7 @@ class Renderer:
         return moving_markers(shot.positions_m, shot.headings_rad, self.side_m, shot.motion)
 
     def _draw(self, canvas: Canvas, view: View, shot: Shot) -> Canvas:
-        """Clutter, markers and occluders over the ground, in this order."""
+        """Draw clutter, markers and occluders over the ground, in this order."""
         clutter = self.ground.clutter
         if clutter is not None:
             low, high = view.ground_box()
@@ -185,9 +181,9 @@ class Renderer:
         paint_discs(canvas, view.images(lambda _: shape), np.array([disc.level]), self._spread)
 
     def _levels(self, ids: IntArray) -> Float:
-        """Levels of markers' cards, framed: row 0 is the forward edge, column 0 the left one.
+        """Return the grey levels of marker cards, `framed`; row 0 is the forward edge, column 0 the left one.
 
-        The last team's are kept.
+        Those of the last ids are cached.
         """
         asked = tuple(int(marker_id) for marker_id in ids)
         if self._team != asked:
@@ -199,6 +195,6 @@ class Renderer:
 
 
 def _marker_lattice(n: int) -> Array:
-    """Map (3, 3) from a card's columns and rows, quiet zone and all, to (forward, left) in sides."""
+    """Return the map (3, 3) from columns and rows of a card, with quiet zone, to (forward, left) in sides."""
     middle = n / 2 + 1
     return np.array([[0.0, -1.0, middle], [-1.0, 0.0, middle], [0.0, 0.0, n]])

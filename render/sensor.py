@@ -1,16 +1,15 @@
-"""The sensor: light in, grey levels of 8 bits out.
+"""Sensor model: from light to grey levels of 8 bits.
 
-For light L (grey levels) at a pixel at p from the image's middle, in halves of the image's shorter side,
+For light L (grey levels) at a pixel at p from the image centre, in halves of the image's shorter side,
 
     s = gain · L · (1 - vignetting |p|² / |p_corner|²)
                  · (1 + gradient / 2 · p·n / max p·n)
                  · (1 - shadow Φ((p·m - shadow_offset) / shadow_edge))
-    y = s + sqrt(noise² + shot s) ε,      rounded and cut to 0-255,
+    y = s + sqrt(noise² + shot s) ε,      rounded and clipped to 0-255,
 
-with ε normal and white, Φ the normal distribution, and n, m the directions of gradient and shadow. A camera
-that processes its images (`skyherd.render.processing`) has a mosaic of colour filters, whose white balance is
-part of the noise, and develops y before it is rounded. At last the image goes through a JPEG and a video, if
-asked.
+with ε standard normal and white, Φ the normal distribution function, and n, m the directions of gradient and
+shadow. With colour filters (`skyherd.render.processing`) white balance scales the noise. Image processing
+applies to y before the rounding. JPEG and video compression follow it.
 """
 
 from dataclasses import dataclass
@@ -30,28 +29,28 @@ if TYPE_CHECKING:
 
 
 Light = npt.NDArray[np.float32]
-"""Light in grey levels, or a factor on it, (height, width)."""
+"""Light in grey levels, or a factor on light, (height, width)."""
 
 BANK_EXTRA_PX = 256
-"""By how much a bank of normal deviates is wider and higher than the image. *Chosen*: 65 536 offsets to read
-it at, so that noise hardly repeats; more cost memory."""
+"""Excess of width and height of a bank of normal deviates over the image. *Chosen*: it has 65 536 offsets, so
+that noise rarely repeats; more cost memory."""
 
 SHARPEST_EDGE = 1e-6
-"""Least softness of a shadow's edge, halves of the image's shorter side. *Chosen*: keeps a division from
-zero; it is far below a pixel."""
+"""Smallest softness of a shadow's edge, halves of the image's shorter side. *Chosen*: avoids a division by
+zero; far below a pixel."""
 
 
 @dataclass(frozen=True)
 class Illumination:
-    """How much of the scene's light arrives where in the image; each part is off at 0.
+    """Spatial variation of light over the image: vignetting, gradient and shadow; each is off at 0.
 
     Attributes:
-        vignetting: share of the light that the image's corners lack.
-        gradient: share by which the light grows from one border to the other, as much below 1 as above it.
-        gradient_rad: in which direction, from +u to +v.
-        shadow: share of the light that a cast shadow takes away.
-        shadow_offset: where its edge is, from the image's middle, halves of the image's shorter side.
-        shadow_rad: on which side of the edge it lies, from +u to +v.
+        vignetting: relative loss of light at the image corners.
+        gradient: relative change of light from one border to the other, symmetric about 1.
+        gradient_rad: direction of increasing light, from +u to +v.
+        shadow: relative loss of light in a cast shadow.
+        shadow_offset: distance of the shadow's edge from the centre, halves of the image's shorter side.
+        shadow_rad: direction from the edge into the shadow, from +u to +v.
         shadow_edge: standard deviation of the edge's softness, halves of the image's shorter side.
     """
 
@@ -65,11 +64,11 @@ class Illumination:
 
     @property
     def even(self) -> bool:
-        """Whether all of the light arrives everywhere, so that the factor is 1."""
+        """True if the factor is 1 everywhere."""
         return not (self.vignetting or self.gradient or self.shadow)
 
     def of(self, size_px: tuple[int, int]) -> Light:
-        """Factor (height, width) on the light, for an image of `size_px` (width, height)."""
+        """Return the factor (height, width) on light, for an image of `size_px` (width, height)."""
         half = min(size_px) / 2
         u: Array
         v: Array
@@ -87,25 +86,25 @@ class Illumination:
 
 
 def _along(u: Array, v: Array, angle_rad: float) -> Array:
-    """Coordinate (height, width) along a direction."""
+    """Return the coordinate (height, width) along a direction."""
     return np.asarray(u[None, :] * np.cos(angle_rad) + v[:, None] * np.sin(angle_rad))
 
 
 class Sensor:
-    """Turns light into an image of 8 bits by the law above (see the module).
+    """Sensor that converts light to an image of 8 bits by the model of the module's docstring.
 
-    Fresh normal deviates cost more than all the rest of a frame, so that a bank is drawn once and read
-    at a random offset each time.
+    Drawing normal deviates takes longer than all the rest of a frame. They are therefore drawn once, and read
+    at a random offset in each frame.
 
     Args:
-        noise: standard deviation that does not depend on the light, grey levels.
-        rng: what draws it.
-        shot: variance of the shot noise over the signal, grey levels: 255 over the electrons that a pixel
-            holds; 0 for none.
-        gain: grey levels out for one in.
-        illumination: how much light arrives where.
-        jpeg_quality: 1 to 100, through a JPEG and back; None for none.
-        processing: what the camera does to its images.
+        noise: standard deviation of the noise independent of light, grey levels.
+        rng: random generator of the noise.
+        shot: ratio of the shot noise's variance to the signal, grey levels: 255 over the full-well capacity
+            in electrons; 0 for none.
+        gain: factor on the light.
+        illumination: spatial variation of the light; uniform if None.
+        jpeg_quality: quality of JPEG compression, 1 to 100; None for none.
+        processing: image processing of the camera.
 
     Raises:
         InputError: `jpeg_quality` is out of range.
@@ -135,20 +134,21 @@ class Sensor:
 
     @property
     def linear(self) -> bool:
-        """Whether light is changed by nothing but noise: 8-bit images can then be exposed as they are."""
+        """True if only noise changes the light, so that `expose` can process 8-bit images directly."""
         untouched = not self.shot and self.gain == 1 and self.illumination.even
         return untouched and not self.processing.develops
 
     @property
     def is_video(self) -> bool:
-        """Whether images are those of a video, whose encoder goes on from one to the next."""
+        """True with video compression, whose images depend on earlier ones."""
         return self.processing.h264_crf is not None
 
     def expose(self, light: Image | Light, stream: int = 0) -> Image:
-        """Make an image (height, width) of light (height, width), whose array it may change.
+        """Return the image (height, width) of light (height, width), with new noise.
 
-        Each call draws new noise. A video predicts images from those before them: `stream` says whose image
-        it is, where one sensor serves several cameras.
+        Args:
+            light: light in grey levels; the array may be overwritten.
+            stream: number of the camera's video stream, where one sensor serves several cameras.
         """
         if light.dtype == np.uint8 and self.linear:
             image = self._add_noise(np.asarray(light, dtype=np.uint8))
@@ -162,17 +162,18 @@ class Sensor:
         return self._video(stream, image.shape, self.processing.h264_crf).send(image)
 
     def skip(self, size_px: tuple[int, int]) -> None:
-        """Draw the random numbers of `expose` for an image of `size_px` (width, height), and no image.
+        """Draw the random numbers of `expose` for an image of `size_px` (width, height), without an image.
 
-        Sensors with equal generators that each expose some of a sequence of images and skip the others make
-        the images that one sensor makes of all of them.
+        Several sensors with equal generators can share a sequence of images: each exposes some and skips the
+        others. The images equal those of a single sensor.
         """
         width, height = size_px
         if self.noise > 0 or self.shot:
             self._window(self._deviates_of(height, width), height, width)
 
     def _video(self, stream: int, shape: tuple[int, ...], crf: int) -> "VideoStream":
-        """The video of a camera; PyAV is loaded with the first one, for it takes long."""
+        """Return the video stream of a camera."""
+        # Imported here, since PyAV takes long to load.
         from skyherd.render.processing.video_stream import VideoStream
 
         key = (stream, shape[0], shape[1])
@@ -181,7 +182,7 @@ class Sensor:
         return self._videos[key]
 
     def _convert(self, light: Light) -> Image:
-        """All of the law, in floating point."""
+        """Apply the whole model, in floating point."""
         height, width = light.shape
         if not self.illumination.even:
             if (height, width) not in self._factors:
@@ -208,7 +209,7 @@ class Sensor:
         return np.clip(light, 0, 255, out=light).astype(np.uint8)
 
     def _add_noise(self, image: Image) -> Image:
-        """Rounded noise of `noise` grey levels, added with saturation, in place."""
+        """Add rounded noise of `noise` grey levels, with saturation, in place."""
         if self.noise <= 0:
             return image
         height, width = image.shape
@@ -223,7 +224,7 @@ class Sensor:
         return image
 
     def _deviates_of(self, height: int, width: int) -> Light:
-        """Bank of normal deviates, a little larger than the image."""
+        """Return the bank of normal deviates for an image size."""
         if (height, width) not in self._deviates:
             shape = (height + BANK_EXTRA_PX, width + BANK_EXTRA_PX)
             self._deviates[height, width] = self._rng.standard_normal(shape, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""What one image shows."""
+"""Content of one image: camera, pose, markers, motion and occluders."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ from skyherd.render.scene.occluders import Occluder
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """One image: a camera, and the markers before it.
+    """One image: a camera and the markers in front of it.
 
     Attributes:
         camera: intrinsics and lens.
-        pose: where the camera is in the middle of the exposure of the middle row.
+        pose: pose of the camera in the middle of the exposure of the middle row.
         ids: (N,) markers of the dictionary.
-        positions_m: (N, 2) places of the markers' centres on the ground.
-        headings_rad: (N,) their forward directions, counter-clockwise from +x.
-        motion: velocities of camera and robots; they matter only with an exposure or a row time.
-        occluders: what lies over markers, each over those before it.
-        stream: number of the camera's video stream, which matters only to a codec that remembers.
+        positions_m: (N, 2) marker centres on the ground.
+        headings_rad: (N,) forward directions of the markers, counter-clockwise from +x.
+        motion: velocities of camera and robots; without effect if exposure and row time are 0.
+        occluders: shapes over the markers, in drawing order.
+        stream: number of the camera's video stream; without effect unless the sensor compresses video.
     """
 
     camera: Camera

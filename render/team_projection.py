@@ -1,8 +1,8 @@
-"""Where a team's markers lie in many cameras' images at one instant: exact, without shutter or motion.
+"""Exact projection of a team's markers into many cameras at one instant, without shutter and motion.
 
-Runs without rendered images (`perception = "ideal"` or `"noisy"`) need the markers' image points alone, of
-every camera at every instant. Only robots near a camera's footprint are projected, for all cameras in one
-product of matrices, so that the work grows with what is seen, and not with cameras times robots.
+Runs without rendered images (`perception = "ideal"` or `"noisy"`) need only the markers' image points. Robots
+far from a camera's footprint are excluded first. One matrix product then projects all others for all cameras,
+so that the work grows with the visible markers, not with cameras times robots.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,17 +16,17 @@ from skyherd.render.camera.camera import Camera, CameraPose, distort, homography
 from skyherd.render.truth import SQUARE, ground_markers
 
 BEYOND = 1 + 1e-9
-"""Factor on the radius within which robots count as near a footprint. *Chosen*: a millionth of a millimetre
-over a metre, so that the rounding of the corners leaves out no robot that is in view."""
+"""Factor on the radius within which robots count as near a footprint. *Chosen*: 1e-9 m per metre, so that
+rounding of the corners excludes no robot in view."""
 
 
 @dataclass(frozen=True)
 class TeamImage:
-    """The markers whose whole card is in one camera's image: M rows of the team.
+    """Markers whose whole card is in one camera's image: M rows of the team.
 
     Attributes:
-        rows: (M,) which markers of the team.
-        centers_px: (M, 2) images of their centres.
+        rows: (M,) row numbers of the markers in the team.
+        centers_px: (M, 2) images of the centres.
         corners_px: (M, 4, 2) images of the black squares' corners, in the marker's order.
     """
 
@@ -42,19 +42,19 @@ def project_team(
     side_m: float,
     card_side_m: float,
 ) -> Iterator[TeamImage]:
-    """Project a team's markers into each of many views: the markers whose whole card is in the image.
+    """Project a team's markers into many views.
 
-    The points are those of `project_markers` for the same camera and pose, without motion.
+    The points equal those of `project_markers` for the same camera and pose, without motion.
 
     Args:
-        views: a camera and its pose for each image.
-        positions_m: (N, 2) markers' centres on the ground.
-        headings_rad: (N,) their forward directions, counter-clockwise from +x.
+        views: camera and pose of each image.
+        positions_m: (N, 2) marker centres on the ground.
+        headings_rad: (N,) forward directions of the markers, counter-clockwise from +x.
         side_m: side of the black square.
         card_side_m: side of the white card around it.
 
     Yields:
-        One `TeamImage` a view, in their order.
+        The markers of each view whose whole card is in the image, in the order of the views.
     """
     if not views:
         return
@@ -79,10 +79,10 @@ def project_team(
 
 
 def _near(views: Sequence[tuple[Camera, CameraPose]], images_ground: Array, positions_m: Array) -> BoolArray:
-    """(V, N) all markers that may be in view, and few others.
+    """Return the mask (V, N) of markers that may be in view.
 
-    Without a lens an image shows the quadrilateral on the ground under its corners, and so nothing outside
-    the circle around their mean that has them all. To cameras with a lens, or the horizon in view, all are.
+    Without distortion the footprint is a quadrilateral, inside the smallest circle around the mean of its
+    corners that contains them. With distortion, or the horizon in view, all markers may be in view.
     """
     bent = np.array([bool(camera.distortion) for camera, _ in views])
     corners_px = np.array([camera.corners_px for camera, _ in views])

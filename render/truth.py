@@ -1,7 +1,7 @@
-"""Exact truth about the markers in an image: where they are, how they lie, how much of them is seen.
+"""Exact ground truth of the markers in an image: position, orientation, size and visibility.
 
-There is one truth: `FrameTruth` is computed through the same `View` that draws the image, so that lens,
-motion and shutter cannot differ. Detectors, labelled image sets and recall are all judged by it.
+`FrameTruth` is computed through the same `View` that draws the image, so that lens, motion and shutter are
+the same. It is the reference for detectors, labelled image sets and recall.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,30 +19,30 @@ from skyherd.render.scene.occluders import Occluder
 from skyherd.render.view import ShapeImages, View
 
 SQUARE: Array = to_points(ROBOT_FRAME_CORNERS)
-"""Corners (4, 2) of a marker in its own coordinates: forward and left, in sides. *Derived* from the corner
-order of `skyherd.geometry`."""
+"""Corners (4, 2) of a marker in marker coordinates (forward, left), in sides. *Derived* from the corner order
+of `skyherd.geometry`."""
 
 SAMPLES = 64
-"""Points along a side on which the visible fraction is counted. *Derived*: an edge that cuts the marker
-passes through some 64 of 4096 cells, whose errors mostly cancel: right to 0.002. Twice as many cost four
-times as much."""
+"""Sample points along a side for the visible fraction. *Derived*: an edge across the marker passes through
+about 64 of 4096 cells, whose errors mostly cancel. The error is 0.002; twice as many cost four times as
+much."""
 
 
 @dataclass(frozen=True)
 class FrameTruth:
-    """The markers of a team as one image has them, N of them: what a detector is judged by.
+    """Ground truth of the N markers of a team in one image.
 
     Attributes:
         ids: (N,) markers.
         centers_px: (N, 2) images of the markers' centres.
         headings_rad: (N,) direction in the image, from +u to +v, of a marker's forward axis at its centre.
-        sides_px: (N,) `sqrt(|det J|)`, J being the Jacobian of `images_marker` at the centre.
+        sides_px: (N,) `sqrt(|det J|)`, where J is the Jacobian of `images_marker` at the centre.
         corners_px: (N, 4, 2) images of the black squares' corners, in the marker's order.
-        images_marker: (N, 3, 3) from marker coordinates (forward, left, in sides) to pixels; through a
-            lens or a rolling shutter right to first order at the centre.
-        whole: (N,) whether the marker and its whole card are in the image and not covered.
-        count_visible: function that counts `visible_fractions`; called only if they are asked for, since that
-            costs as much as all the rest.
+        images_marker: (N, 3, 3) homographies from marker coordinates (forward, left, in sides) to pixels;
+            with a lens or a rolling shutter correct to first order at the centre.
+        whole: (N,) True if the marker and its whole card are in the image and not covered.
+        count_visible: function that computes `visible_fractions`. It is called on demand, since it takes as
+            long as all the rest.
     """
 
     ids: IntArray
@@ -56,12 +56,12 @@ class FrameTruth:
 
     @cached_property
     def visible_fractions(self) -> Array:
-        """(N,) share of the black square that is in the image and not covered."""
+        """Fraction (N,) of the black square that is in the image and not covered."""
         return self.count_visible()
 
 
 def ground_markers(positions_m: Array, headings_rad: Array, side_m: float) -> Array:
-    """Similarities (N, 3, 3) from marker coordinates (forward, left, in sides) to ground metres."""
+    """Return similarities (N, 3, 3) from marker coordinates (forward, left, in sides) to ground metres."""
     c, s = side_m * np.cos(headings_rad), side_m * np.sin(headings_rad)
     ground = np.zeros((len(headings_rad), 3, 3))
     ground[:, 0, 0] = ground[:, 1, 1] = c
@@ -73,7 +73,7 @@ def ground_markers(positions_m: Array, headings_rad: Array, side_m: float) -> Ar
 def moving_markers(
     positions_m: npt.ArrayLike, headings_rad: npt.ArrayLike, side_m: float, motion: Motion
 ) -> Callable[[float], Array]:
-    """Function from an instant, s from the pose's, to `ground_markers` (N, 3, 3) as they are then."""
+    """Return the function from a time relative to the pose, s, to `ground_markers` (N, 3, 3) at that time."""
     positions, headings = np.asarray(positions_m, dtype=float), np.asarray(headings_rad, dtype=float)
     return lambda time_s: ground_markers(*motion.robots_at(positions, headings, time_s), side_m)
 
@@ -91,25 +91,25 @@ def project_markers(
     shutter: Shutter = INSTANT,
     occluders: Sequence[Occluder] = (),
 ) -> FrameTruth:
-    """Find where markers on the ground are in a camera's image.
+    """Project markers on the ground into a camera's image.
 
-    With motion blur the truth is that of the middle of the exposure, with a rolling shutter that of the row
-    in which a point is seen.
+    With motion blur the result is that of the middle of the exposure. With a rolling shutter it is that of
+    the row in which a point is seen.
 
     Args:
         camera: intrinsics and lens.
-        pose: where the camera is in the middle of the exposure of the middle row.
-        positions_m: (N, 2) markers' centres on the ground.
-        headings_rad: (N,) their forward directions, counter-clockwise from +x.
+        pose: pose of the camera in the middle of the exposure of the middle row.
+        positions_m: (N, 2) marker centres on the ground.
+        headings_rad: (N,) forward directions of the markers, counter-clockwise from +x.
         side_m: side of the black square.
         card_side_m: side of the white card around it.
-        ids: (N,) the markers; 0, 1, … if not given.
+        ids: (N,) the markers; 0, 1, … if None.
         motion: velocities of camera and robots.
         shutter: exposure and row time.
-        occluders: what lies over markers.
+        occluders: shapes over the markers.
 
     Returns:
-        The truth about all N markers, those outside the image as well.
+        The ground truth of all N markers, including those outside the image.
     """
     check_kind("project_markers: camera", camera, Camera, "a Camera")
     check_kind("project_markers: pose", pose, CameraPose, "a CameraPose")
@@ -154,9 +154,13 @@ def project_markers(
 
 
 def _shares(images: ShapeImages, grounds: Array, occluders: Sequence[Occluder], side: float) -> Array:
-    """Share (M,) of squares of some side, in marker sides, that is in the image and not covered.
+    """Return the fraction (M,) of squares that is in the image and not covered, sampled on a grid.
 
-    Counted on a grid; `grounds` (M, 3, 3) are the squares' places on the ground.
+    Args:
+        images: images of the M markers.
+        grounds: (M, 3, 3) similarities from marker coordinates to ground metres.
+        occluders: shapes over the markers.
+        side: side of the squares, in marker sides.
     """
     line = ((np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5) * side
     points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)

@@ -1,9 +1,8 @@
-"""Images of flat shapes on the ground, as a camera takes them: pose, motion, shutter and lens together.
+"""Projection of flat shapes on the ground through pose, motion, shutter and lens.
 
-A flat shape on the ground is seen through a homography. While a rolling shutter takes the image, camera and
-shapes move, so that each row has a homography of its own: they are computed for the first, the middle and the
-last row, and taken between them by a parabola. The lens comes after the homography. Both drawing and truth go
-through `View`.
+A flat shape on the ground is imaged by a homography. With a rolling shutter and motion each row has its own
+homography. It is computed for the first, the middle and the last row, and interpolated by a parabola. The
+lens distortion follows the homography. Both drawing and ground truth use `View`.
 """
 
 from collections.abc import Callable
@@ -26,19 +25,19 @@ from skyherd.render.camera.lens_displacement import LensField
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
 
 ROLLING_STEPS = 5
-"""Fixed-point steps for the row in which a moving point is seen. *Chosen*: each makes the error a hundred
-times smaller or more, so that after five an error of 100 px is 1e-8 px."""
+"""Fixed-point steps for the row in which a moving point is seen. *Chosen*: each reduces the error by a factor
+of 100 or more, so that five reduce 100 px to 1e-8 px."""
 
 
 @dataclass(frozen=True)
 class ShapeImages:
-    """Homographies of N flat shapes to pixels without the lens, over the time that the image takes.
+    """Homographies of N flat shapes to undistorted pixels, at one or three instants of an image.
 
     Attributes:
-        camera: the camera that sees them.
-        zoom: its zoom.
+        camera: intrinsics and lens.
+        zoom: zoom of the pose.
         times_s: (Q,) instants: one, or with a rolling shutter those of the first, middle and last row.
-        matrices: (Q, N, 3, 3) from shape coordinates to pixels at these instants.
+        matrices: (Q, N, 3, 3) homographies from shape coordinates to pixels at these instants.
     """
 
     camera: Camera
@@ -48,21 +47,21 @@ class ShapeImages:
 
     @property
     def rolling(self) -> bool:
-        """Whether rows are seen at different times."""
+        """True if rows are exposed at different times."""
         return len(self.times_s) > 1
 
     def only(self, shapes: IntArray) -> "ShapeImages":
-        """The images of the shapes with the numbers given (M,)."""
+        """Return the images of the shapes with the given indices (M,)."""
         return replace(self, matrices=self.matrices[:, shapes])
 
     def _share_of_time(self, v_px: Array) -> Array:
-        """When rows v (...) are seen, in units in which the first and the last instant are -1 and 1."""
+        """Return the times (...) of rows v (...), scaled to -1 and 1 at the first and the last instant."""
         height, (_, middle, last) = self.camera.size_px[1], self.times_s
         times_s = np.interp(v_px, [-0.5, height - 0.5], self.times_s[[0, -1]])
         return np.asarray((times_s - middle) / (last - middle))
 
     def _at(self, matrices: Array, shape: IntArray, v_px: Array) -> Array:
-        """Matrices (..., 3, 3) of shapes (...) when rows v (...) are seen, by a parabola through three."""
+        """Return the matrices (..., 3, 3) of shapes (...) at the times of rows v (...), by a parabola."""
         if not self.rolling:
             return np.asarray(matrices[0][shape])
         t = self._share_of_time(v_px)
@@ -70,10 +69,10 @@ class ShapeImages:
         return np.asarray(sum(w[..., None, None] * m[shape] for w, m in zip(parabola, matrices, strict=True)))
 
     def project(self, points: Array) -> Array:
-        """Pixels (N, V, 2) of points (V, 2) or (N, V, 2) in shape coordinates, through shutter and lens.
+        """Project points (V, 2) or (N, V, 2) in shape coordinates to pixels (N, V, 2).
 
-        With a rolling shutter the row of a point depends on its time and the time on its row, which is solved
-        by fixed-point steps.
+        With a rolling shutter the row of a point depends on its time, and the time on the row. Fixed-point
+        iteration solves this.
         """
         homogeneous = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
         if not self.rolling:
@@ -95,35 +94,35 @@ class ShapeImages:
         return pixels
 
     def row_times(self) -> Array:
-        """When each row (height,) is seen, in units in which the first and the last instant are -1 and 1."""
+        """Return the times (height,) of the rows, scaled to -1 and 1 at the first and the last instant."""
         rows = np.arange(self.camera.size_px[1], dtype=float)
         return self._share_of_time(rows) if self.rolling else np.zeros_like(rows)
 
     @property
     def bent(self) -> bool:
-        """Whether straight lines are seen bent, by lens or rolling shutter."""
+        """True if lens or rolling shutter bend straight lines."""
         return self.rolling or bool(self.camera.distortion)
 
     def lens(self) -> LensField | None:
-        """What the lens does to each pixel; None if it does nothing."""
+        """Return the lens displacement of each pixel; None without distortion."""
         return lens_field(self.camera, self.zoom)
 
     def before_horizon(self, points: Array) -> BoolArray:
-        """Which shapes (N,) have all points (V, 2) of theirs on the camera's side of the horizon."""
+        """Return the mask (N,) of shapes with all points (V, 2) on the camera's side of the horizon."""
         weights = (
             np.einsum("qnj,vj->qnv", self.matrices[:, :, 2, :2], points) + self.matrices[:, :, 2, 2, None]
         )
         return np.asarray((weights > 0).all(axis=(0, 2)))
 
     def row_shapes(self, v_px: Array) -> Array:
-        """Homographies (V, 3, 3) from pixels of rows (V,) without the lens to the first shape."""
+        """Return the homographies (V, 3, 3) from undistorted pixels of rows (V,) to the first shape."""
         return self._at(inverse(self.matrices), np.zeros(len(v_px), dtype=np.int64), v_px)
 
     def at_origin(self) -> Array:
-        """Homographies (N, 3, 3) to pixels that are right to first order at each shape's origin.
+        """Return homographies (N, 3, 3) to pixels that are correct to first order at each shape's origin.
 
-        Without lens and rolling shutter they are right everywhere. The lens adds its slope D, a row time τ
-        the motion during it: a point seen in row v moves with `dp = D H dx + p_t τ dv`, so that its slope is
+        Without lens and rolling shutter they are exact. The lens contributes its Jacobian D, and a row time τ
+        the motion between rows. A point in row v moves by `dp = D H dx + p_t τ dv`, so that the Jacobian is
         multiplied by `(1 - τ p_t e_vᵀ)⁻¹`.
         """
         if not self.bent:
@@ -141,7 +140,7 @@ class ShapeImages:
         return np.asarray(local @ matrices)
 
     def _shear(self, shape: IntArray, v_px: Array) -> Array:
-        """`(1 - p_v e_vᵀ)⁻¹` (N, 2, 2), p_v being by how much origins' images move from row to row."""
+        """Return `(1 - p_v e_vᵀ)⁻¹` (N, 2, 2), where p_v is the motion of an origin's image per row."""
         there = []
         for v in (v_px - 0.5, v_px + 0.5):
             moved = self._at(self.matrices, shape, v)
@@ -157,11 +156,11 @@ class View:
 
     Attributes:
         camera: intrinsics and lens.
-        pose: where it is in the middle of the exposure of the middle row.
-        motion: what moves, and how fast.
+        pose: pose in the middle of the exposure of the middle row.
+        motion: velocities of camera and robots.
         shutter: exposure and row time.
-        at_s: instant within the exposure, s from its middle.
-        ray: the ray through the lens's pupil by which it is seen; None for the middle one.
+        at_s: time within the exposure, s from its middle.
+        ray: ray through the pupil; None for the central one.
     """
 
     camera: Camera
@@ -172,10 +171,11 @@ class View:
     ray: Ray | None = None
 
     def images(self, ground_shapes: Callable[[float], Array]) -> ShapeImages:
-        """Images of shapes that lie on the ground.
+        """Return the images of shapes on the ground.
 
-        `ground_shapes` takes an instant, s, to homographies (N, 3, 3) from the shapes' coordinates to ground
-        metres.
+        Args:
+            ground_shapes: function from a time, s, to the homographies (N, 3, 3) from shape coordinates to
+                ground metres.
         """
         half_s = self.shutter.row_time_s * self.camera.size_px[1] / 2
         times_s = np.array([-half_s, 0.0, half_s] if half_s else [0.0])
@@ -188,17 +188,17 @@ class View:
         )
 
     def _homography(self, pose: CameraPose) -> Array:
-        """From ground metres to pixels without the lens's distortion, (3, 3)."""
+        """Return the homography (3, 3) from ground metres to undistorted pixels."""
         if self.ray is None:
             return homography_image_ground(self.camera, pose)
         return self.ray.homography(self.camera, pose)
 
     def ground(self) -> ShapeImages:
-        """The image of the ground itself, a single shape whose coordinates are metres."""
+        """Return the image of the ground, as a single shape with coordinates in metres."""
         return self.images(lambda _: np.eye(3)[None])
 
     def ground_box(self) -> tuple[Array, Array]:
-        """Lower and upper corner (2,) of a box around the ground in view, metres, from the image's border."""
+        """Return the lower and upper corner (2,), m, of a bounding box of the ground in view."""
         corners = self.camera.corners_px
         border = np.concatenate(
             [corners + share * (np.roll(corners, -1, axis=0) - corners) for share in (0, 0.5)]

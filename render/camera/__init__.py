@@ -1,1 +1,1 @@
-"""Cameras: intrinsics and poses, lenses, and what moves while an image is taken."""
+"""Cameras: intrinsics, poses, lenses, shutter and motion."""

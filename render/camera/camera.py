@@ -1,18 +1,17 @@
-"""Perspective cameras over the ground plane: the map from ground to pixels, as a homography.
+"""Perspective cameras over the ground plane: homographies from ground to pixels.
 
 A camera looks straight down unless tilted. At yaw psi its image axis +u lies along (cos psi, sin psi)
-on the ground and +v along (sin psi, -cos psi): the image is what one sees looking down, not mirrored.
-For square pixels and no tilt, with ground points as complex numbers,
+on the ground, and +v along (sin psi, -cos psi). The image is not mirrored. For square pixels and no tilt,
+with ground points as complex numbers,
 
     p = c + (f / h) conj((x - x_camera) exp(-i psi)).
 
-Frames: ground points are (x, y) in metres, z up. Image points are (u, v) in pixels, u right and v down, an
-integer being a pixel's centre. Camera rays are (x, y) where they meet the plane at distance 1 before the
-camera.
+Frames: ground points are (x, y) in metres, z up. Image points are (u, v) in pixels, u right and v down;
+integers are pixel centres. Camera rays are (x, y) in normalized image coordinates, on the plane at distance 1
+in front of the camera.
 
-What a lens does to each pixel of an image is needed for every image. It is computed at knots a few pixels
-apart and splined between them (`lens_field`), so that a change of zoom costs as much as one image, and not
-forty.
+Each image needs the lens displacement of each pixel. `lens_field` computes it at knots a few pixels apart and
+interpolates by splines. A change of zoom then costs as much as one image instead of forty.
 """
 
 from dataclasses import dataclass
@@ -29,13 +28,12 @@ from skyherd.render.camera.lens import NO_DISTORTION, Distortion
 from skyherd.render.camera.lens_displacement import LensField
 
 KNOT_PX = 5
-"""Distance of the knots at which a lens is computed, px. *Chosen*: splines of the fifth degree between them
-are right to 1e-4 px, and to 1e-3 px where a lens is about to fold. Fewer knots cost less and are less
-exact."""
+"""Distance of the knots of the lens field, px. *Chosen*: quintic splines are then accurate to 1e-4 px, and to
+1e-3 px where a lens almost folds the image."""
 
 MIN_KNOTS = 48
-"""Knots along a side of an image, at least. *Chosen*: keeps the splines exact in small images, where a lens
-bends as much over fewer pixels."""
+"""Minimum number of knots along a side of an image. *Chosen*: keeps the splines accurate in small images,
+where the distortion changes faster per pixel."""
 
 
 @dataclass(frozen=True)
@@ -43,16 +41,16 @@ class Camera:
     """Intrinsics of a camera and its lens; the `zoom` of a pose multiplies the focal length.
 
     Attributes:
-        size_px: width, height.
+        size_px: width and height.
         focal_px: focal length along u.
-        principal_point_px: where the optical axis meets the image; the image centre if None.
-        aspect: focal length along v over that along u; 1 for square pixels.
-        skew: change of u with v along the sensor, as a fraction of the focal length.
-        mirrored: the stream is flipped left to right, as behind a mirror.
-        distortion: the lens: a perspective one after Brown and Conrady, or an equidistant fisheye.
+        principal_point_px: principal point; the image centre if None.
+        aspect: ratio of the focal lengths along v and u; 1 for square pixels.
+        skew: skew coefficient, as a fraction of the focal length.
+        mirrored: True if the stream is flipped left to right.
+        distortion: lens model: Brown–Conrady or equidistant fisheye.
 
     Raises:
-        InputError: a size or focal length is not positive, or the lens makes no image of this size.
+        InputError: a size or focal length is not positive, or the lens folds the image.
     """
 
     size_px: tuple[int, int]
@@ -77,7 +75,7 @@ class Camera:
             self._check_lens()
 
     def _check_lens(self) -> None:
-        """Each corner of the image must see a ray before the lens's polynomial turns back."""
+        """Raise InputError if the radial polynomial folds back inside the image corners."""
         rays = self.distortion.remove(apply_homography(inverse(self.intrinsic_matrix()), self.corners_px))
         if (rays**2).sum(axis=-1).max() >= self.distortion.turn():
             raise InputError(
@@ -88,13 +86,13 @@ class Camera:
 
     @property
     def corners_px(self) -> Array:
-        """Corners (4, 2) of the image's border, half a pixel outside the outermost pixels' centres."""
+        """Corners (4, 2) of the image border, half a pixel outside the outermost pixel centres."""
         width, height = self.size_px
         right, bottom = width - 0.5, height - 0.5
         return np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
 
     def intrinsic_matrix(self, zoom: float = 1.0) -> Array:
-        """K (3, 3): homography from camera rays to pixels, before the lens's distortion."""
+        """Return K (3, 3), the homography from camera rays to pixels without distortion."""
         width, height = self.size_px
         cu, cv = self.principal_point_px or ((width - 1) / 2, (height - 1) / 2)
         f = self.focal_px * zoom
@@ -106,14 +104,14 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where a camera is and how it is turned and zoomed.
+    """Position, orientation and zoom of a camera.
 
     Attributes:
-        position_m: the ground point (x, y) below it.
+        position_m: ground point (x, y) below the camera.
         height_m: height above the ground.
         yaw_rad: direction of the image's +u axis on the ground, counter-clockwise from +x.
-        tilt_rad: turns of the scene about the camera's +u axis, and then about its +v axis, right-handed; the
-            camera itself turns the other way.
+        tilt_rad: rotations of the scene about the camera's +u axis, then about its +v axis, right-handed. The
+            camera itself rotates the opposite way.
         zoom: factor on the focal length.
     """
 
@@ -125,7 +123,7 @@ class CameraPose:
 
 
 def rotation_camera_world(pose: CameraPose) -> Array:
-    """R (3, 3) from world to camera axes; the camera's z axis points down when untilted."""
+    """Return R (3, 3) from world to camera axes; the camera's z axis points down when untilted."""
     c, s = np.cos(pose.yaw_rad), np.sin(pose.yaw_rad)
     downward = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
     ca, sa = np.cos(pose.tilt_rad[0]), np.sin(pose.tilt_rad[0])
@@ -137,9 +135,10 @@ def rotation_camera_world(pose: CameraPose) -> Array:
 
 @lru_cache(maxsize=32)
 def homography_image_ground(camera: Camera, pose: CameraPose) -> Array:
-    """H (3, 3) from ground metres to pixels: `H = K [r1 r2 -R c]`, scaled so that H[2, 2] = 1.
+    """Return H (3, 3) from ground metres to pixels: `H = K [r1 r2 -R c]`, scaled to |H[2, 2]| = 1.
 
-    It is -1 where the ground's origin lies behind the camera, since the last row is positive before it.
+    The last row is positive for points in front of the camera, so that H[2, 2] = -1 if the ground's origin is
+    behind the camera.
     """
     check_kind("homography_image_ground: camera", camera, Camera, "a Camera")
     check_kind("homography_image_ground: pose", pose, CameraPose, "a CameraPose")
@@ -152,9 +151,9 @@ def homography_image_ground(camera: Camera, pose: CameraPose) -> Array:
 
 
 def distort(camera: Camera, zoom: float, points_px: Array) -> Array:
-    """Take pixels (..., 2) as they would be without the lens to where they are seen through it.
+    """Return the distorted pixels (..., 2) of undistorted pixels (..., 2) at the zoom of a pose.
 
-    `zoom` is the pose's. Without a distortion the points come back as they are.
+    Without distortion the points are returned unchanged.
     """
     if not camera.distortion:
         return points_px
@@ -164,10 +163,10 @@ def distort(camera: Camera, zoom: float, points_px: Array) -> Array:
 
 
 def undistort(camera: Camera, zoom: float, points_px: Array) -> Array:
-    """Take pixels (..., 2) seen through the lens to where they would be without it: the inverse of `distort`.
+    """Return the undistorted pixels (..., 2) of distorted pixels (..., 2): the inverse of `distort`.
 
     Raises:
-        InputError: a pixel shows no ray, since the lens folds the image there.
+        InputError: the lens folds the image at a pixel, so that no ray belongs to it.
     """
     check_kind("undistort: camera", camera, Camera, "a Camera")
     if not camera.distortion:
@@ -178,7 +177,7 @@ def undistort(camera: Camera, zoom: float, points_px: Array) -> Array:
 
 
 def lens_jacobians(camera: Camera, zoom: float, points_px: Array) -> Array:
-    """Derivatives (..., 2, 2) of `distort` at pixels (..., 2) as they would be without the lens."""
+    """Return the Jacobians (..., 2, 2) of `distort` at undistorted pixels (..., 2)."""
     matrix = camera.intrinsic_matrix(zoom)
     rays = apply_homography(inverse(matrix), points_px)
     plane = matrix[:2, :2]
@@ -187,9 +186,9 @@ def lens_jacobians(camera: Camera, zoom: float, points_px: Array) -> Array:
 
 @lru_cache(maxsize=8)
 def lens_field(camera: Camera, zoom: float) -> LensField | None:
-    """What the lens does to each pixel of an image, or None if it does nothing.
+    """Return the lens displacement of each pixel of an image, or None without distortion.
 
-    The last eight are kept, since computing one costs as much as drawing an image.
+    The last eight are cached, since computing one costs as much as drawing an image.
     """
     if not camera.distortion:
         return None
@@ -203,7 +202,7 @@ def lens_field(camera: Camera, zoom: float) -> LensField | None:
 
 @lru_cache(maxsize=16)
 def _spline(length: int) -> tuple[Array, Array]:
-    """Knots (K,) along a side of so many pixels, and weights (length, K) of values there at each pixel."""
+    """Return knots (K,) along a side of `length` pixels, and spline weights (length, K) at each pixel."""
     # Imported with the first lens: it takes long, and cameras without a lens do not need it.
     from scipy.interpolate import make_interp_spline
 
@@ -213,9 +212,9 @@ def _spline(length: int) -> tuple[Array, Array]:
 
 
 def project(camera: Camera, pose: CameraPose, points_m: npt.ArrayLike) -> Array:
-    """Pixels (..., 2), through the lens, of ground points (..., 2) in metres.
+    """Project ground points (..., 2), m, to distorted pixels (..., 2).
 
-    The points have to lie before the camera's horizon; others come out mirrored through it.
+    The points must lie on the camera's side of the horizon. Other points are mirrored through it.
     """
     check_kind("project: camera", camera, Camera, "a Camera")
     check_kind("project: pose", pose, CameraPose, "a CameraPose")
@@ -223,6 +222,6 @@ def project(camera: Camera, pose: CameraPose, points_m: npt.ArrayLike) -> Array:
 
 
 def footprint_m(camera: Camera, pose: CameraPose) -> Array:
-    """Ground points (4, 2), metres, under the image's corners, clockwise from the upper left."""
+    """Return the ground points (4, 2), m, at the image corners, clockwise from the upper left."""
     ground_image = inverse(homography_image_ground(camera, pose))
     return apply_homography(ground_image, undistort(camera, pose.zoom, camera.corners_px))

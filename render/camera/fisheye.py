@@ -1,16 +1,14 @@
-"""The equidistant fisheye: images of rays in proportion to their angle with the axis.
+"""Equidistant fisheye lens.
 
-A ray at the angle θ from the optical axis meets the plane at unit distance at the radius tan θ, and is seen
-as if it met it at
+A ray at angle θ from the optical axis meets the plane at unit distance at radius tan θ. It is imaged at
 
-    r' = θ,        so that   r = tan r'   is its exact inverse.
+    r' = θ,    with the exact inverse    r = tan r'.
 
-With a focal length of f px a ray is therefore seen f θ px from the principal point (Kannala and Brandt 2006,
-with the first coefficient alone).
+With a focal length of f px, the distance to the principal point is f θ px (Kannala and Brandt 2006, with only
+the first coefficient).
 
-A lens is a map of rays: `apply`, `remove` and `jacobian`, `at` a zoom, `turn`, and whether it bends at all.
-This class and `skyherd.render.camera.lens.Distortion` both have these, so that markers, ground and truth work
-with either of them.
+This class and `skyherd.render.camera.lens.Distortion` have the same interface: `apply`, `remove`, `jacobian`,
+`at`, `turn` and the truth value.
 """
 
 from dataclasses import dataclass
@@ -23,44 +21,44 @@ from skyherd.geometry import Array
 
 MAX_RAD = 1.45
 """Largest angle of a ray with the axis, rad (83 degrees). *Chosen*: rays are points of the plane at unit
-distance, which is 8 away at this angle; at 90 degrees it is infinitely far."""
+distance, with a radius of 8 at this angle, and infinity at 90 degrees."""
 
 NEAR = 1e-4
-"""Radii below this take the first two terms of a series in place of a quotient 0 / 0. *Derived*: what the
-series leaves out is of the radius' fourth power, 1e-16, which is the rounding of a double."""
+"""Radius below which two terms of a series replace the quotient 0 / 0. *Derived*: the truncation error is of
+the radius' fourth power, 1e-16, the rounding of a double."""
 
 
 @dataclass(frozen=True)
 class Equidistant:
-    """The equidistant fisheye lens, `r' = atan r`; it is the same at every zoom."""
+    """Equidistant fisheye lens, `r' = atan r`, independent of the zoom."""
 
     def __bool__(self) -> bool:
-        """Whether the lens bends straight lines: always."""
+        """Return True: the lens bends straight lines."""
         return True
 
     def at(self, zoom: float) -> Self:
-        """The lens at a zoom: itself."""
+        """Return the lens at a zoom: itself."""
         return self
 
     def apply(self, rays: Array) -> Array:
-        """Take rays (..., 2) to where the lens makes them appear (..., 2)."""
+        """Return the distorted rays (..., 2) of rays (..., 2)."""
         radius = np.linalg.norm(rays, axis=-1, keepdims=True)
         return np.asarray(rays * _ratio(np.arctan(radius), radius, -1 / 3))
 
     def jacobian(self, rays: Array) -> Array:
-        """Derivatives (..., 2, 2) of `apply`: 1 / (1 + r²) along the radius, θ / r across it."""
+        """Return the Jacobians (..., 2, 2) of `apply`: 1 / (1 + r²) along the radius, θ / r across it."""
         radius = np.linalg.norm(rays, axis=-1, keepdims=True)[..., None]
         across = _ratio(np.arctan(radius), radius, -1 / 3)
-        # (1 / (1 + r²) - θ / r) / r², which goes to -2/3.
+        # (1 / (1 + r²) - θ / r) / r², with the limit -2/3.
         square = np.maximum(radius, NEAR) ** 2
         bend = np.where(radius < NEAR, -2 / 3, (1 / (1 + square) - across) / square)
         return np.asarray(across * np.eye(2) + bend * rays[..., :, None] * rays[..., None, :])
 
     def remove(self, seen: Array) -> Array:
-        """Take rays as they appear (..., 2) to the rays themselves (..., 2): the inverse of `apply`.
+        """Return the undistorted rays (..., 2) of distorted rays (..., 2): the inverse of `apply`.
 
         Raises:
-            InputError: a ray is too far off the axis.
+            InputError: a ray is more than `MAX_RAD` off the axis.
         """
         radius = np.linalg.norm(seen, axis=-1, keepdims=True)
         if radius.max(initial=0.0) > MAX_RAD:
@@ -72,10 +70,10 @@ class Equidistant:
         return np.asarray(seen * _ratio(np.tan(radius), radius, 1 / 3))
 
     def turn(self) -> float:
-        """Square of the radius at which the image folds back: infinity, since it never does."""
+        """Return the squared radius at which the image folds back: infinity, since it never does."""
         return float("inf")
 
 
 def _ratio(values: Array, radius: Array, third: float) -> Array:
-    """`values / radius`, by the series `1 + third r²` near zero."""
+    """Return `values / radius`, by the series `1 + third r²` near zero."""
     return np.where(radius < NEAR, 1 + third * radius**2, values / np.maximum(radius, NEAR))

@@ -1,18 +1,19 @@
-"""Lens distortion after Brown and Conrady, with OpenCV's names and signs.
+"""Brown–Conrady lens distortion, with OpenCV's names and signs.
 
-A ray that meets the plane at unit distance at (x, y), `r² = x² + y²`, is seen as if it met it at
+A ray that meets the plane at unit distance at (x, y), `r² = x² + y²`, is imaged at
 
     x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)
     y' = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y.
 
-A zoom lens may bend otherwise at each focal length: k1 grows by `zoom_k1` with each doubling of the zoom z,
+The distortion of a zoom lens may depend on the focal length. k1 grows by `zoom_k1` with each doubling of the
+zoom z,
 
     k1(z) = k1 + zoom_k1 log2 z.
 
-Far out the radial polynomial may turn back, so that rays would come into the image a second time. Such rays
-are taken on outwards instead, with the factor that it has where it turns.
+At large radii the radial polynomial may fold back, so that rays would enter the image a second time. Beyond
+the fold the radial factor stays constant instead, which keeps such rays outside the image.
 
-Rays are dimensionless: lengths on the plane at unit distance, that is in focal lengths.
+Rays are dimensionless: their coordinates are in focal lengths.
 """
 
 from dataclasses import dataclass, replace
@@ -24,41 +25,41 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array
 
 NEWTON_STEPS = 12
-"""Steps of Newton's method after which undistorting gives up. *Chosen*: the built-in test cameras' lenses
-need five or six; only rays near a fold need more."""
+"""Maximum number of Newton steps of undistortion. *Chosen*: the built-in test cameras' lenses need five or
+six; only rays near a fold need more."""
 
 NEWTON_REACH = 0.5
-"""Longest step of Newton's method along either axis, focal lengths. *Chosen*: keeps a step that starts near a
-fold, where the derivative is almost zero, from leaving the image."""
+"""Longest Newton step along either axis, focal lengths. *Chosen*: limits steps near a fold, where the
+derivative is almost zero."""
 
 SETTLED = 1e-12
-"""Undistorting ends once no ray moves by more than this, focal lengths. *Chosen*: 1e-9 px at a focal length
-of 1000 px, some thousand times the rounding of a double."""
+"""Step below which undistortion has converged, focal lengths. *Chosen*: 1e-9 px at a focal length of 1000 px,
+about a thousand times the rounding of a double."""
 
 SAME_RAY = 1e-9
-"""A ray counts as found if the lens takes it to within this of where it is seen, focal lengths. *Chosen*:
-1e-6 px at a focal length of 1000 px, for rays near a fold, where Newton's method settles slowly."""
+"""Largest accepted residual after the last Newton step, focal lengths. *Chosen*: 1e-6 px at a focal length of
+1000 px, for rays near a fold, where Newton's method converges slowly."""
 
 REAL = 1e-9
-"""Roots of the derivative with a smaller imaginary part count as real. *Chosen*: far above the rounding of
-single roots, which is near 1e-15."""
+"""Imaginary part below which a root of the derivative counts as real. *Chosen*: far above the rounding of
+simple roots, about 1e-15."""
 
 FAR = 8.0
-"""Radius up to which a turn of the polynomial is looked for, focal lengths. *Chosen*: 83 degrees off the
-axis, beyond any perspective lens."""
+"""Largest radius of the search for a fold, focal lengths. *Chosen*: 83 degrees off the axis, beyond any
+perspective lens."""
 
 
 @dataclass(frozen=True)
 class Distortion:
-    """A perspective lens: radial k1, k2, k3, tangential p1, p2, and `zoom_k1`; none of them by default.
+    """Distortion coefficients of a perspective lens; 0 by default.
 
     Attributes:
         k1: radial coefficient of r².
         k2: radial coefficient of r⁴.
         k3: radial coefficient of r⁶.
-        p1: tangential coefficient, along y.
-        p2: tangential coefficient, along x.
-        zoom_k1: what each doubling of the zoom adds to k1.
+        p1: tangential coefficient along y.
+        p2: tangential coefficient along x.
+        zoom_k1: increase of k1 with each doubling of the zoom.
     """
 
     k1: float = 0.0
@@ -69,28 +70,28 @@ class Distortion:
     zoom_k1: float = 0.0
 
     def __bool__(self) -> bool:
-        """Whether the lens bends straight lines: whether any coefficient is not zero."""
+        """Return whether the lens bends straight lines: whether any coefficient is not zero."""
         return any((self.k1, self.k2, self.k3, self.p1, self.p2, self.zoom_k1))
 
     def at(self, zoom: float) -> "Distortion":
-        """The lens at a zoom, as one that does not depend on the zoom any more."""
+        """Return the lens at a zoom, with `zoom_k1` 0."""
         if not self.zoom_k1:
             return self
         return replace(self, k1=self.k1 + self.zoom_k1 * float(np.log2(zoom)), zoom_k1=0.0)
 
     def apply(self, rays: Array) -> Array:
-        """Take rays (..., 2) to where the lens makes them appear (..., 2)."""
+        """Return the distorted rays (..., 2) of rays (..., 2)."""
         return _distort(self, rays)[0]
 
     def jacobian(self, rays: Array) -> Array:
-        """Derivatives (..., 2, 2) of `apply` at rays (..., 2)."""
+        """Return the Jacobians (..., 2, 2) of `apply` at rays (..., 2)."""
         return _distort(self, rays)[1]
 
     def remove(self, seen: Array) -> Array:
-        """Take rays as they appear (..., 2) to the rays themselves (..., 2), by Newton's method.
+        """Return the undistorted rays (..., 2) of distorted rays (..., 2), by Newton's method.
 
         Raises:
-            InputError: no ray appears at one of the points, since the lens folds the image.
+            InputError: the lens folds the image, so that no ray belongs to one of the points.
         """
         rays = seen.copy()
         for _ in range(NEWTON_STEPS):
@@ -104,24 +105,24 @@ class Distortion:
         raise InputError("lens", f"{self} folds the image over", "smaller k1, k2, k3, p1, p2")
 
     def turn(self) -> float:
-        """Square of the radius at which the radial polynomial turns back; infinity if it never does."""
+        """Return the squared radius at which the radial polynomial folds back; infinity if it never does."""
         return _turn(self)
 
 
 NO_DISTORTION = Distortion()
-"""The lens of a pinhole camera."""
+"""Lens of a pinhole camera."""
 
 
 @lru_cache(maxsize=64)
 def _turn(lens: Distortion) -> float:
-    """The least positive root r² of `d/dr (r + k1 r³ + k2 r⁵ + k3 r⁷)`; infinity if it is far out."""
+    """Return the least positive root r² of `d/dr (r + k1 r³ + k2 r⁵ + k3 r⁷)`; infinity beyond `FAR`."""
     roots = np.roots([7 * lens.k3, 5 * lens.k2, 3 * lens.k1, 1.0])
     real = roots.real[(np.abs(roots.imag) < REAL) & (roots.real > 0)]
     return float(real.min()) if real.size and real.min() < FAR**2 else float("inf")
 
 
 def _distort(lens: Distortion, rays: Array) -> tuple[Array, Array]:
-    """Rays (..., 2) as seen, and the derivatives (..., 2, 2)."""
+    """Return the distorted rays (..., 2) and the Jacobians (..., 2, 2)."""
     x, y = rays[..., 0], rays[..., 1]
     square = x * x + y * y
     r2 = np.minimum(square, _turn(lens))

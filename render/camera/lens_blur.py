@@ -1,20 +1,19 @@
-"""Lens blur that is no Gaussian: discs of defocus and coma, as means over the rays through the lens's pupil.
+"""Lens blur besides the Gaussian: defocus and coma, as means over rays through the pupil.
 
-A point is seen through every part of the lens's opening, the pupil. A ray through the pupil's point ρ e^{iθ},
-0 ≤ ρ ≤ 1, meets the image beside the ray through the middle, by (complex, px)
+The ray through the pupil's point ρ e^{iθ}, 0 ≤ ρ ≤ 1, is displaced in the image from the central ray by
+(complex, px)
 
     d = ρ e^{iθ} (disc + f A/2 (1/z_focus - 1/z)) + coma e^{iα} (ρ² (2 + e^{2i(θ - α)}) - 1),
 
 with f the focal length in px, A the aperture's diameter, z the point's distance along the optical axis, and α
-the direction of the coma. The first term is the circle of confusion of a thin lens: a disc, evenly lit, whose
-radius is 0 in focus. The second is Seidel's third-order coma, the same over the whole image, with its mean
-taken off, so that it moves no marker. Variances along and across: disc r²/4 and r²/4, coma C²/2 and C²/6.
+the direction of the coma. The first term is the circle of confusion of a thin lens: a uniform disc, whose
+radius is 0 in focus. The second is Seidel's third-order coma, the same over the whole image. Its mean is
+subtracted, so that it moves no marker. Variances along and across: disc r²/4 and r²/4, coma C²/2 and C²/6.
 
-An image is the mean of the sharp ones that the rays see, all drawn exactly, on top of the Gaussian of
-`psf_px`: a cubature over the pupil, Gauss and Legendre along ρ² and even steps along θ. On a plane 1/z is
-affine in the image, so that each ray sees the ground through a homography of its own, to which no depth map
-comes near in exactness. Displacements are those before the lens's distortion, which stretches them as it
-stretches everything.
+An image is the weighted mean of the sharp images of the rays, on top of the Gaussian of `psf_px`. The weights
+are a cubature over the pupil: Gauss–Legendre along ρ², equal steps along θ. On a plane 1/z is affine in the
+image, so that each ray sees the ground through an exact homography of its own. Displacements are applied
+before the lens distortion.
 """
 
 from dataclasses import dataclass
@@ -33,22 +32,23 @@ from skyherd.render.camera.camera import (
 
 RADIAL_PER_SIGMA, RADIAL_LEAST = 0.5, 0.5
 ANGULAR_PER_SIGMA, ANGULAR_LEAST = 1.5, 3.0
-"""Nodes of the cubature along ρ² and along θ: so many for each standard deviation σ of lens and pixel that
-rays spread, and these more, rounded up. *Measured*: with three times as many no pixel of a marker changes by
-0.3 grey levels of 200, their root mean square by 0.03 (`tests/render/camera/test_lens_blur.py`)."""
+"""Cubature nodes along ρ² and θ: a number per σ of ray spread, plus a constant, rounded up. σ is the standard
+deviation of lens and pixel. *Measured*: with three times as many nodes, pixels of a marker change by less
+than 0.3 grey levels of 200, and 0.03 RMS (`tests/render/camera/test_lens_blur.py`)."""
 
 MAX_RAYS = 1024
-"""Rays at most. *Chosen*: enough for discs of a radius of some 30 σ; a larger one shows single rays."""
+"""Maximum number of rays. *Chosen*: enough for discs of a radius of about 30 σ; larger discs show single
+rays."""
 
 
 @dataclass(frozen=True)
 class Ray:
-    """One of the rays through the pupil.
+    """Ray through a point of the pupil. Its displacement is `shift_px - parallax_px_m / z`.
 
     Attributes:
-        shift_px: (2,) by how much it is beside the middle one, whatever it comes from.
-        parallax_px_m: (2,) what is taken from that for each 1/m of the inverse distance.
-        weight: its share of the light.
+        shift_px: (2,) displacement from the central ray for a point at infinity.
+        parallax_px_m: (2,) decrease of the displacement for each 1/m of inverse distance.
+        weight: share of the light.
     """
 
     shift_px: Array
@@ -56,9 +56,9 @@ class Ray:
     weight: float
 
     def homography(self, camera: Camera, pose: CameraPose) -> Array:
-        """H (3, 3) from ground metres to pixels, before the lens's distortion, as this ray sees the ground.
+        """Return this ray's H (3, 3) from ground metres to undistorted pixels.
 
-        `H' = H + shift h₃ - parallax s (0, 0, 1)`, h₃ being H's last row, which is s times the distance z.
+        `H' = H + shift h₃ - parallax s (0, 0, 1)`, where h₃ is H's last row, s times the distance z.
         """
         through_middle = homography_image_ground(camera, pose)
         seen = np.array(through_middle)
@@ -69,17 +69,17 @@ class Ray:
 
 @dataclass(frozen=True)
 class LensBlur:
-    """A lens's disc of defocus and coma, beside its Gaussian blur; each part is off at 0.
+    """Defocus and coma of a lens, besides its Gaussian blur; each part is off at 0.
 
     Attributes:
-        disc_px: radius of the disc that every point is seen as.
-        coma_px: C of the coma, whose blur is some 3 C long.
-        coma_rad: direction of its tail in the image, from +u to +v.
-        aperture_m: diameter of the opening, for a disc that grows with the distance from the focus.
+        disc_px: radius of a constant defocus disc.
+        coma_px: C of the coma, with a blur about 3 C long.
+        coma_rad: direction of the coma's tail in the image, from +u to +v.
+        aperture_m: diameter of the aperture, for defocus that depends on the distance.
         focus_m: distance along the optical axis at which points are in focus.
 
     Raises:
-        InputError: a radius, length or aperture is negative, or the focus is not before the camera.
+        InputError: a radius, length or aperture is negative, or the focus distance is not positive.
     """
 
     disc_px: float = 0.0
@@ -99,11 +99,11 @@ class LensBlur:
 
     @property
     def none(self) -> bool:
-        """Whether every point is seen as a point, but for the Gaussian."""
+        """True without defocus and coma."""
         return not (self.disc_px or self.coma_px or self.aperture_m)
 
     def radii_px(self, camera: Camera, pose: CameraPose, points_px: Array) -> Array:
-        """Signed radii (...), px, of the discs of the ground at pixels (..., 2); positive behind the focus.
+        """Return signed radii (...), px, of the ground's discs at pixels (..., 2); positive behind the focus.
 
         `disc + f A/2 (1/z_focus - 1/z)`; f is the focal length along u.
         """
@@ -111,20 +111,22 @@ class LensBlur:
         return np.asarray(self.disc_px + reach * (1 / self.focus_m - inverse_depths(camera, pose, points_px)))
 
     def variances_px2(self, camera: Camera, pose: CameraPose, points_px: Array) -> Array:
-        """Variances (...), px², that the blur adds along an axis, in the mean of both, at pixels (..., 2).
+        """Return the blur's variance per axis (...), px², mean of both axes, at pixels (..., 2).
 
         `r²/4 + C²/3`.
         """
         return np.asarray(self.radii_px(camera, pose, points_px) ** 2 / 4 + self.coma_px**2 / 3)
 
     def rays(self, camera: Camera, pose: CameraPose, sigma_px: float) -> list[Ray]:
-        """The rays whose images' mean is the blurred one; their weights sum to one.
+        """Return the rays whose weighted mean image is the blurred one; their weights sum to one.
 
-        `sigma_px` is the standard deviation of the Gaussian and the pixel together; the sharper these, the
-        more rays it takes.
+        Args:
+            camera: intrinsics and lens.
+            pose: pose of the camera.
+            sigma_px: standard deviation of Gaussian and pixel together; a smaller one needs more rays.
         """
         radius = float(np.abs(self.radii_px(camera, pose, camera.corners_px)).max())
-        # Coma spreads rays by 3 C along ρ², and goes twice around where a disc goes once.
+        # Coma spreads rays by 3 C along ρ², and its phase 2θ turns twice per turn of θ.
         along, around = ((radius + times * self.coma_px) / sigma_px for times in (4, 3))
         rings = int(np.ceil(RADIAL_PER_SIGMA * along + RADIAL_LEAST))
         spokes = int(np.ceil(ANGULAR_PER_SIGMA * around + ANGULAR_LEAST))
@@ -145,13 +147,13 @@ class LensBlur:
 
 
 SHARP = LensBlur()
-"""A lens without defocus and coma."""
+"""Lens without defocus and coma."""
 
 
 def inverse_depths(camera: Camera, pose: CameraPose, points_px: Array) -> Array:
-    """Inverse distances (...), 1/m, along the optical axis, of the ground seen at pixels (..., 2).
+    """Return inverse distances (...), 1/m, of the ground at pixels (..., 2), along the optical axis.
 
-    `1/z = s h · (u, v, 1)`, h being the last row of the inverse homography; 0 at the horizon and beyond.
+    `1/z = s h · (u, v, 1)`, where h is the last row of the inverse homography; 0 at the horizon and beyond.
     """
     straight = undistort(camera, pose.zoom, points_px)
     row = inverse(homography_image_ground(camera, pose))[2]
@@ -159,6 +161,6 @@ def inverse_depths(camera: Camera, pose: CameraPose, points_px: Array) -> Array:
 
 
 def _per_metre(pose: CameraPose) -> float:
-    """s, by which the homography's last row is to be divided to give the distance z, m."""
+    """Return s, 1/m, the ratio of the homography's last row to the distance z."""
     center = np.array([*pose.position_m, pose.height_m])
     return float(1.0 / abs(rotation_camera_world(pose)[2] @ center))

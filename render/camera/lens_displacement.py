@@ -1,4 +1,4 @@
-"""What a lens does to each pixel of an image: the form in which drawing takes it."""
+"""Lens displacement of each pixel, in the form that the rasterizer reads."""
 
 from dataclasses import dataclass
 
@@ -8,11 +8,11 @@ import numpy.typing as npt
 
 @dataclass(frozen=True)
 class LensField:
-    """From each pixel of an image, flattened, to where it would be without the lens.
+    """Undistortion map of the pixels of an image.
 
     Attributes:
-        fields: (6, H W) displacements along u and along v, px, and the derivatives of the place without the
-            lens by the pixel: du/du, du/dv, dv/du, dv/dv.
+        fields: (6, H W) displacements along u and v, px, and the derivatives of the undistorted by the
+            distorted position: du/du, du/dv, dv/du, dv/dv.
     """
 
     fields: npt.NDArray[np.float32]

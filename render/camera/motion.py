@@ -1,8 +1,7 @@
-"""What moves while an image is taken: the shutter, and the velocities of camera and robots.
+"""Shutter, and velocities of camera and robots during an exposure.
 
-Motion blur is the mean of sharp images over the exposure. A rolling shutter gives each image row an instant
-of its own. Both hold for robots and cameras alike: `Motion` moves them, and `skyherd.render.view` asks it for
-the instant of each row. `docs/sensor.png` shows every part of camera and sensor.
+Motion blur is the mean of sharp images over the exposure. With a rolling shutter each image row has its own
+time. `docs/sensor.png` shows each part of camera and sensor.
 """
 
 from dataclasses import dataclass, replace
@@ -15,13 +14,13 @@ from skyherd.render.camera.camera import CameraPose
 
 @dataclass(frozen=True)
 class Shutter:
-    """When light falls on which row; with zeros all rows see one instant.
+    """Exposure time and row time; with zeros all rows are exposed at the same instant.
 
-    Row v gathers light for `exposure_s` around the time `row_time_s (v - (height - 1) / 2)`: the pose given
-    is the middle row's in the middle of its exposure.
+    Row v is exposed for `exposure_s` around the time `row_time_s (v - (height - 1) / 2)`. The pose of a shot
+    is that of the middle row in the middle of its exposure.
 
     Attributes:
-        exposure_s: for how long each row gathers light.
+        exposure_s: exposure time of each row.
         row_time_s: time from one row to the next.
     """
 
@@ -31,14 +30,14 @@ class Shutter:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Velocities of camera and robots, constant over the time that an image takes.
+    """Velocities of camera and robots, constant during an image.
 
     Attributes:
-        camera_mps: of the camera, ground axes x, y, and up.
-        yaw_rate_radps: of the camera, counter-clockwise from above.
-        robots_mps: (N, 2) of the robots; at rest if None.
-        robots_radps: (N,) their turn rates; none if None.
-        tilt_rates_radps: of the camera, by how much its tilts change.
+        camera_mps: velocity of the camera along x, y and up.
+        yaw_rate_radps: yaw rate of the camera, counter-clockwise from above.
+        robots_mps: (N, 2) velocities of the robots; None if at rest.
+        robots_radps: (N,) turn rates of the robots; None if 0.
+        tilt_rates_radps: rates of the camera's two tilts.
     """
 
     camera_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -49,13 +48,13 @@ class Motion:
 
     @property
     def still(self) -> bool:
-        """Whether nothing moves: all velocities are zero or not given."""
+        """True if all velocities are zero or None."""
         robots = (rates for rates in (self.robots_mps, self.robots_radps) if rates is not None)
         camera = (*self.camera_mps, self.yaw_rate_radps, *self.tilt_rates_radps)
         return not (any(camera) or any(np.any(rates) for rates in robots))
 
     def pose_at(self, pose: CameraPose, time_s: float) -> CameraPose:
-        """The camera's pose `time_s` after the instant of `pose`; earlier if negative."""
+        """Return the camera's pose `time_s` after the instant of `pose`; before it if negative."""
         vx, vy, climb = self.camera_mps
         by_u, by_v = self.tilt_rates_radps
         return replace(
@@ -67,7 +66,7 @@ class Motion:
         )
 
     def robots_at(self, positions_m: Array, headings_rad: Array, time_s: float) -> tuple[Array, Array]:
-        """Positions (N, 2), m, and headings (N,), rad, `time_s` after the instant of those given."""
+        """Return positions (N, 2), m, and headings (N,), rad, `time_s` after the instant of the arguments."""
         if self.robots_mps is not None:
             positions_m = positions_m + np.asarray(self.robots_mps) * time_s
         if self.robots_radps is not None:
@@ -76,7 +75,7 @@ class Motion:
 
 
 STILL = Motion()
-"""Nothing moves."""
+"""Camera and robots at rest."""
 
 INSTANT = Shutter()
-"""All rows see the same instant, without blur."""
+"""Instantaneous global shutter."""

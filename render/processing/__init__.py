@@ -1,13 +1,13 @@
-"""What a consumer camera does to an image between its sensor and whoever looks: each step a module.
+"""Image processing pipeline of a consumer camera.
 
-In this order, each off at its neutral value:
+The steps, in this order; each is off at its neutral value:
 
-1. `mosaic`: the sensor's colour filters. Noise enters before, at each pixel of the mosaic.
-2. `mosaic`: demosaicing, by which each pixel gets the two colours that its filter did not let through.
-3. `tone`: gamma and contrast curve, for each colour; then the luma, which is all that a grey image keeps.
+1. `mosaic`: colour filter array. Noise enters before it, at each pixel of the mosaic.
+2. `mosaic`: demosaicing, which interpolates the two missing colours of each pixel.
+3. `tone`: gamma and contrast curve of each colour, then the luma.
 4. `smoothing`: denoising, then sharpening, of the luma.
-5. Rounding to 8 bits, a JPEG and back, and `video_stream`: an H.264 video and back.
+5. Rounding to 8 bits, JPEG compression, and `video_stream`: H.264 compression.
 
-The scene is grey, so that white balance makes all colours equal but for their noise. `development` puts the
-first four together; `skyherd.render.sensor` does what comes before, light, gain and noise, and the codecs.
+The scene is grey, so that after white balance the colours differ only by noise. `development` combines the
+first four steps. `skyherd.render.sensor` models light, gain and noise before them, and the codecs after them.
 """

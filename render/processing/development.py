@@ -1,6 +1,6 @@
-"""All that a camera's processing is set to, and the steps one after the other.
+"""Settings of a camera's image processing, and its steps up to rounding to 8 bits.
 
-JPEG and video come after them, in `skyherd.render.sensor`: they take images of 8 bits.
+JPEG and video compression follow in `skyherd.render.sensor`.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from skyherd.render.processing.smoothing import denoise, sharpen
 from skyherd.render.processing.tone import luma, raw_signal
 
 Light = npt.NDArray[np.float32]
-"""What the pixels gathered, noise and all, in grey levels, (height, width)."""
+"""Sensor signal with noise, in grey levels, (height, width)."""
 
 
 BOUNDS = {
@@ -26,22 +26,22 @@ BOUNDS = {
     "sharpen_px": (0.3, 10.0),
     "h264_crf": (0, 51),
 }
-"""Least and greatest value of each setting that is a number. *Chosen* beyond what any camera does; that of
-the video is *derived*: x264 has no others."""
+"""Range of each numeric setting. *Chosen*: wider than the settings of cameras. The range of `h264_crf` is
+*defined* by x264."""
 
 
 @dataclass(frozen=True)
 class Processing:
-    """A camera's processing; everything is off by default, and each part by its neutral value.
+    """Image processing of a camera; each step is off by default.
 
     Attributes:
-        mosaic: colour filters and their interpolation.
-        gamma: γ of the tone curve; 1 for a signal in proportion to light.
-        s_curve: strength of the curve that adds contrast to the middle, 0 to 1.
-        denoise: grey levels up to which differences of neighbours are taken for noise; 0 for none.
+        mosaic: colour filter array and demosaicing.
+        gamma: γ of the tone curve; 1 for a linear response.
+        s_curve: strength, 0 to 1, of the curve that increases contrast at middle grey.
+        denoise: range parameter of the bilateral filter, grey levels; 0 for none.
         sharpen: amount of the unsharp mask; 0 for none.
-        sharpen_px: standard deviation of its blur.
-        h264_crf: constant rate factor, 0 to 51, of a video that images go through; None for none.
+        sharpen_px: standard deviation of the unsharp mask's blur.
+        h264_crf: constant rate factor, 0 to 51, of H.264 compression; None for none.
 
     Raises:
         InputError: a value is out of range.
@@ -64,16 +64,16 @@ class Processing:
 
     @property
     def develops(self) -> bool:
-        """Whether anything is done to the signal before it is rounded to 8 bits."""
+        """True if a step before the rounding to 8 bits is on."""
         toned = self.gamma != 1 or self.s_curve
         return bool(self.mosaic.on or toned or self.denoise or self.sharpen)
 
     def develop(self, light: Light) -> Image:
-        """Make an image of 8 bits of what the pixels gathered: all steps before JPEG and video."""
+        """Return the image of 8 bits of a sensor signal: all steps before JPEG and video."""
         image = luma(self.mosaic.interpolate(raw_signal(light)), self.gamma, self.s_curve)
         image = sharpen(denoise(image, self.denoise), self.sharpen, self.sharpen_px)
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
 UNPROCESSED = Processing()
-"""A camera that gives what its sensor gathered."""
+"""Camera without image processing."""

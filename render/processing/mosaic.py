@@ -1,12 +1,10 @@
-"""The sensor's colour filters, and what is interpolated between them.
+"""Bayer colour filter array and demosaicing.
 
-Filters lie in fours, after Bayer: red and green in even rows, green and blue in odd ones. White balance
-multiplies what red and blue pixels give by g_red and g_blue, which makes a grey scene grey and their noise
-stronger: a pixel with the signal s (after white balance) and the factor g has
+Even rows have red and green filters, odd rows green and blue ones. White balance multiplies the signals of
+red and blue pixels by g_red and g_blue. A grey scene becomes grey, and the noise of these pixels increases. A
+filter transmits s / g, so that a pixel with signal s after white balance and factor g has
 
-    y = s + sqrt(g² noise² + g shot s) ε,
-
-since the filter let only s / g through.
+    y = s + sqrt(g² noise² + g shot s) ε.
 """
 
 from dataclasses import dataclass
@@ -19,28 +17,28 @@ import numpy.typing as npt
 from skyherd.errors import InputError
 
 Demosaic = Literal["none", "bilinear", "edge-aware"]
-"""How missing colours are interpolated: linearly from the nearest pixels of that colour; or, as most cameras
-do, along edges rather than across; with `none` there are no filters."""
+"""Demosaicing method: `none` for a sensor without filters, `bilinear`, or `edge-aware`, which interpolates
+along edges, as most cameras do."""
 
 CODES = {"bilinear": cv2.COLOR_BayerRGGB2BGR, "edge-aware": cv2.COLOR_BayerRGGB2BGR_EA}
-"""OpenCV's number of each interpolation, for red and green in the first row."""
+"""OpenCV's code of each method, for red and green in the first row."""
 
 SENSITIVITY_RANGE = (1.0, 4.0)
-"""Least and greatest factor of white balance. *Chosen*: in real cameras it is between 1 and 3, for green
-filters let most light through."""
+"""Range of white balance factors. *Chosen*: real cameras have 1 to 3, since green filters transmit the most
+light."""
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A sensor with colour filters, and the interpolation between them.
+    """Colour filter array of a sensor, and its demosaicing.
 
     Attributes:
-        demosaic: the interpolation; `none` for a sensor without filters.
-        red_gain: factor of white balance on red pixels.
-        blue_gain: the same of blue ones.
+        demosaic: demosaicing method; `none` for a sensor without filters.
+        red_gain: white balance factor of red pixels.
+        blue_gain: white balance factor of blue pixels.
 
     Raises:
-        InputError: there is no such interpolation, or a factor is out of range.
+        InputError: the method is unknown, or a factor is out of range.
     """
 
     demosaic: Demosaic = "none"
@@ -57,29 +55,29 @@ class Mosaic:
 
     @property
     def on(self) -> bool:
-        """Whether there are filters."""
+        """True for a sensor with filters."""
         return self.demosaic != "none"
 
     @property
     def information(self) -> float:
-        """Share of what pixels without filters would tell under noise that does not depend on light.
+        """Fisher information relative to a sensor without filters, for noise independent of light.
 
         `1/2 + 1/4 g_red⁻² + 1/4 g_blue⁻²`, the mean of the pixels' inverse variances; 1 without filters.
         """
         return (2.0 + self.red_gain**-2.0 + self.blue_gain**-2.0) / 4.0 if self.on else 1.0
 
     def gains(self, height: int, width: int) -> npt.NDArray[np.float32]:
-        """Factor g (height, width) of white balance on each pixel."""
+        """Return the white balance factor g (height, width) of each pixel."""
         gains = np.ones((height, width), dtype=np.float32)
         gains[0::2, 0::2], gains[1::2, 1::2] = self.red_gain, self.blue_gain
         return gains
 
     def interpolate(self, raw: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
-        """Colours (height, width, 3), blue first, of a mosaic (height, width); without filters, as it is."""
+        """Return the BGR image (height, width, 3) of a mosaic (height, width); unchanged without filters."""
         if not self.on:
             return raw
         return np.asarray(cv2.demosaicing(raw, CODES[self.demosaic]), dtype=np.uint16)
 
 
 NO_MOSAIC = Mosaic()
-"""A sensor without colour filters."""
+"""Sensor without colour filters."""

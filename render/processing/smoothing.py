@@ -1,25 +1,25 @@
-"""Denoising and sharpening of the luma, by which errors of neighbouring pixels depend on each other."""
+"""Denoising and sharpening of the luma, which correlate the noise of neighbouring pixels."""
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 Luma = npt.NDArray[np.float32]
-"""Grey levels (height, width) before they are rounded."""
+"""Unrounded grey levels (height, width)."""
 
 WINDOW_PX, REACH_PX = 5, 1.5
-"""Width of the window over which denoising averages, px, and the standard deviation s of its weights by
-distance. *Chosen*: as small as the hardware of cameras has them; larger ones cost more."""
+"""Window width of denoising, and standard deviation s of its spatial weights, px. *Chosen*: small, as in the
+hardware of cameras; larger windows cost more."""
 
 
 def denoise(image: Luma, strength: float) -> Luma:
-    """A bilateral filter: the mean over a window, of pixels whose grey is like that of the one in the middle.
+    """Apply a bilateral filter.
 
         y(p) = Σ_q w(p, q) x(q) / Σ_q w(p, q),   w = exp(-|p - q|² / 2 s² - (x(p) - x(q))² / 2 d²)
 
     Args:
         image: x, grey levels (height, width).
-        strength: d, grey levels; edges that are much higher stay sharp. With 0 the image comes back.
+        strength: d, grey levels; much higher edges stay sharp. With 0 the image is returned unchanged.
     """
     if not strength:
         return image
@@ -27,11 +27,11 @@ def denoise(image: Luma, strength: float) -> Luma:
 
 
 def sharpen(image: Luma, amount: float, radius_px: float) -> Luma:
-    """An unsharp mask: `y = x + a (x - G x)`, with G a Gaussian blur; edges get bright and dark rims.
+    """Apply an unsharp mask, `y = x + a (x - G x)`, where G is a Gaussian blur.
 
     Args:
         image: x, grey levels (height, width).
-        amount: a; with 0 the image comes back.
+        amount: a; with 0 the image is returned unchanged.
         radius_px: standard deviation of G, px.
     """
     if not amount:

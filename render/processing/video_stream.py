@@ -1,4 +1,4 @@
-"""A video stream in H.264 and back, picture by picture."""
+"""H.264 encoding and decoding, picture by picture."""
 
 from fractions import Fraction
 
@@ -9,36 +9,36 @@ from av.codec.context import Flags
 from skyherd.geometry import Image
 
 PRESET, TUNE = "veryfast", "zerolatency"
-"""Settings of libx264. *Chosen*: cameras encode fast and send each picture at once, without looking ahead, so
-that pictures come out in the order and as many as they went in."""
+"""Settings of libx264. *Chosen*: fast encoding without lookahead, as in cameras; each picture is output at
+once and in order."""
 
 GROUP = 30
-"""Pictures from one that stands for itself to the next. *Chosen*: a second of most cameras."""
+"""Pictures from one key frame to the next. *Chosen*: one second of most cameras."""
 
 RATE_HZ = 30
-"""Pictures a second that the encoder is told. *Chosen*: constant quality hardly depends on it."""
+"""Nominal frame rate of the encoder, 1/s. *Chosen*: with a constant rate factor it has little effect."""
 
 FORMAT = "yuvj420p"
-"""Luma of all 256 levels, and colour at half the resolution, which stays grey."""
+"""Pixel format: luma of full range, and chroma at half the resolution, which stays neutral."""
 
 NEUTRAL = 128
-"""Value of both colour planes where there is no colour."""
+"""Value of both chroma planes for grey."""
 
 
 class VideoStream:
-    """One camera's H.264 stream, encoded and decoded picture by picture, on one thread, to the same bits.
+    """H.264 stream of one camera, encoded and decoded on one thread; it is reproducible to the bit.
 
-    Pictures are predicted from those before them, so that a stream remembers: each camera has its own. Odd
-    sizes are made even by repeating the last row or column.
+    Pictures are predicted from earlier ones, so that each camera needs its own stream. Odd sizes are padded
+    by repeating the last row or column.
 
     Attributes:
         bits: size of the stream so far.
-        pictures: how many went through it.
+        pictures: number of pictures so far.
 
     Args:
         size_px: width and height of all pictures.
-        crf: constant rate factor of x264 from 0, hardly a loss, to 51; the quantiser's step doubles with
-            every 6.
+        crf: constant rate factor of x264 from 0, almost lossless, to 51; the quantiser's step doubles every
+            6.
     """
 
     def __init__(self, size_px: tuple[int, int], crf: int) -> None:
@@ -55,7 +55,7 @@ class VideoStream:
         self._encoder, self._decoder = encoder, decoder
 
     def send(self, image: Image) -> Image:
-        """The next picture (height, width), as it comes out at the other end."""
+        """Encode the next picture (height, width), and return it decoded."""
         width, height = self._size_px
         picture = av.VideoFrame(self._encoder.width, self._encoder.height, FORMAT)
         for plane in picture.planes:
@@ -70,6 +70,6 @@ class VideoStream:
 
 
 def _pixels(plane: av.video.plane.VideoPlane) -> Image:
-    """The plane's values (height, width), which can be written to if it can."""
+    """Return a view of a plane's values (height, width)."""
     rows: Image = np.asarray(memoryview(plane), dtype=np.uint8).reshape(plane.height, plane.line_size)
     return rows[:, : plane.width]

@@ -1,1 +1,1 @@
-"""What there is on the ground besides markers: textures, clutter, and what covers markers."""
+"""Scene besides markers: ground textures, clutter and occluders."""

@@ -1,4 +1,4 @@
-"""Dark quadrilaterals on the ground that are no markers: what a detector has to leave alone."""
+"""Clutter: dark quadrilaterals on the ground that a detector must reject."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,31 +10,31 @@ from skyherd.geometry import Array
 from skyherd.render.scene.occluders import convex
 
 MAX_QUADS = 200_000
-"""Quadrilaterals that a view may have. *Chosen*: more is a mistake in the density, and would be drawn for
-long."""
+"""Maximum number of quadrilaterals in a view. *Chosen*: more are a mistake in the density, and slow to
+draw."""
 
 A_PERIOD = 1000
-"""Quadrilaterals in the square that repeats. *Chosen*: views see few of them twice."""
+"""Number of quadrilaterals in one period. *Chosen*: few views contain the same one twice."""
 
 WOBBLE_RAD = 0.35
-"""Largest turn of a corner about the centre from a square's. *Chosen*: with radii up to a quarter off, most
-shapes stay convex and none looks like a square."""
+"""Largest rotation of a corner about the centre from that of a square. *Chosen*: with `RADII`, most shapes
+are convex and none looks like a square."""
 
 RADII = (0.75, 1.25)
-"""Least and greatest distance of a corner from the centre, over a square's. *Chosen*: see `WOBBLE_RAD`."""
+"""Range of a corner's distance from the centre, relative to a square. *Chosen*: see `WOBBLE_RAD`."""
 
 
 @dataclass(frozen=True)
 class Clutter:
-    """Convex quadrilaterals at random places, sizes and turns, fixed to the ground.
+    """Convex quadrilaterals of random position, size and orientation, fixed to the ground.
 
-    They repeat with a period that holds `A_PERIOD` of them. A view has as many as its area times the density.
+    The pattern is periodic, with `A_PERIOD` quadrilaterals per period.
 
     Attributes:
-        seed: of their places and shapes.
-        density_per_m2: how many on a square metre.
-        side_m: their least and greatest mean side.
-        levels: least and greatest grey level.
+        seed: seed of positions and shapes.
+        density_per_m2: number per square metre.
+        side_m: smallest and largest mean side.
+        levels: lowest and highest grey level.
 
     Raises:
         InputError: density or sides are not positive, or the sides are in the wrong order.
@@ -55,12 +55,12 @@ class Clutter:
 
     @property
     def period_m(self) -> float:
-        """Side of the square that repeats, m."""
+        """Period along x and y, m."""
         return float(np.sqrt(A_PERIOD / self.density_per_m2))
 
     @cached_property
     def _one_period(self) -> tuple[Array, Array, Array]:
-        """Centres (M, 2), corners about them (M, 4, 2) and levels (M,)."""
+        """Centres (M, 2), corners relative to them (M, 4, 2) and levels (M,)."""
         rng = np.random.default_rng(self.seed)
         shapes = np.zeros((0, 4, 2))
         while len(shapes) < A_PERIOD:
@@ -77,12 +77,14 @@ class Clutter:
         )
 
     def within(self, low_m: Array, high_m: Array) -> tuple[Array, Array]:
-        """Corners (M, 4, 2), m, and levels (M,) of those that may reach into a box on the ground.
+        """Return corners (M, 4, 2), m, and levels (M,) of all quadrilaterals that may overlap a box.
 
-        The box is given by its lower and upper corner (2,), m.
+        Args:
+            low_m: (2,) lower corner of the box on the ground.
+            high_m: (2,) upper corner of the box.
 
         Raises:
-            InputError: they are more than can be drawn.
+            InputError: more than `MAX_QUADS` are in view.
         """
         centers, shapes, levels = self._one_period
         low, high = low_m - self.side_m[1], high_m + self.side_m[1]

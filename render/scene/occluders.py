@@ -11,12 +11,12 @@ from skyherd.geometry import Array, BoolArray, apply_homography, inverse
 
 @dataclass(frozen=True)
 class Disc:
-    """A disc on the ground.
+    """Disc on the ground.
 
     Attributes:
-        center_m: its middle on the ground.
-        radius_m: its radius.
-        level: its grey level.
+        center_m: centre on the ground.
+        radius_m: radius.
+        level: grey level.
     """
 
     center_m: tuple[float, float]
@@ -24,26 +24,26 @@ class Disc:
     level: float
 
     def covers(self, points_m: Array) -> BoolArray:
-        """Which ground points (..., 2) lie under it."""
+        """Return the mask (...) of the ground points (..., 2) under the disc."""
         offset = points_m - np.array(self.center_m)
         return np.asarray((offset**2).sum(axis=-1) < self.radius_m**2)
 
     def ground_shape(self) -> Array:
-        """Homography (3, 3) to ground metres from coordinates in which it is the unit disc."""
+        """Return the homography (3, 3) from the unit disc to ground metres."""
         x, y = self.center_m
         return np.array([[self.radius_m, 0.0, x], [0.0, self.radius_m, y], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
 class Quad:
-    """A convex quadrilateral on the ground.
+    """Convex quadrilateral on the ground.
 
     Attributes:
         corners_m: (4, 2) corners on the ground, in order, in either sense; read-only.
-        level: its grey level.
+        level: grey level.
 
     Raises:
-        InputError: the corners do not make a convex quadrilateral.
+        InputError: the corners do not form a convex quadrilateral.
     """
 
     corners_m: npt.ArrayLike
@@ -59,21 +59,21 @@ class Quad:
         object.__setattr__(self, "corners_m", corners)
 
     def covers(self, points_m: Array) -> BoolArray:
-        """Which ground points (..., 2) lie under it."""
+        """Return the mask (...) of the ground points (..., 2) under the quadrilateral."""
         at = apply_homography(inverse(self.ground_shape()), points_m)
         return np.asarray(((at > 0) & (at < 1)).all(axis=-1))
 
     def ground_shape(self) -> Array:
-        """Homography (3, 3) to ground metres from coordinates in which it is the unit square."""
+        """Return the homography (3, 3) from the unit square to ground metres."""
         return np.asarray(quads_square(np.asarray(self.corners_m)[None])[0])
 
 
 Occluder = Disc | Quad
-"""What can cover markers."""
+"""Shape that can cover markers."""
 
 
 def convex(corners: Array) -> BoolArray:
-    """Which quadrilaterals (N, 4, 2) are convex (N,): they turn the same way at every corner."""
+    """Return the mask (N,) of convex quadrilaterals (N, 4, 2): they turn the same way at each corner."""
     along = np.roll(corners, -1, axis=1) - corners
     following = np.roll(along, -1, axis=1)
     turn = along[..., 0] * following[..., 1] - along[..., 1] * following[..., 0]
@@ -81,10 +81,10 @@ def convex(corners: Array) -> BoolArray:
 
 
 def quads_square(corners: Array) -> Array:
-    """Homographies (N, 3, 3) that take the unit square's corners (0,0), (1,0), (1,1), (0,1) to (N, 4, 2).
+    """Return the homographies (N, 3, 3) from the corners of the unit square to corners (N, 4, 2).
 
-    In closed form (Heckbert 1989, "Fundamentals of Texture Mapping and Image Warping", section 2.2.3): the
-    two projective terms g and h follow from sums and differences of the corners, the other terms from these.
+    The unit square's corners are (0,0), (1,0), (1,1), (0,1). The solution is in closed form (Heckbert 1989,
+    "Fundamentals of Texture Mapping and Image Warping", section 2.2.3).
     """
     p0, p1, p2, p3 = np.moveaxis(corners, 1, 0)
     d1, d2, d3 = p1 - p2, p3 - p2, p0 - p1 + p2 - p3

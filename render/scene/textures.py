@@ -1,4 +1,4 @@
-"""Textures of the ground as periodic arrays of grey levels: concrete, tiles, or a picture."""
+"""Periodic ground textures in grey levels: concrete, tiles, or a picture."""
 
 import cv2
 import numpy as np
@@ -8,28 +8,27 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array
 
 PERIOD = 2048
-"""Samples of a texture along either side. *Chosen*: 2 cm a sample for concrete of 40 m; twice as many take
-four times the memory and time."""
+"""Samples along a side of a texture. *Chosen*: 2 cm per sample for concrete with a period of 40 m; twice as
+many take four times the memory and time."""
 
 SLABS = 8
-"""Tiles along a period. *Chosen*: enough that repetition does not show in a usual view; each has 256
-samples."""
+"""Tiles along a period, of 256 samples each. *Chosen*: no repetition shows in a usual view."""
 
 JOINT = 0.03
-"""Width of the joints between tiles, in tiles. *Chosen*: as of large floor tiles; wider joints are stronger
+"""Width of the joints, relative to a tile. *Chosen*: usual for large floor tiles; wider joints are stronger
 edges."""
 
 JOINT_CONTRAST = 4
-"""By how many standard deviations of the tiles the joints are darker than the mean. *Chosen*: darker than any
+"""Contrast of the joints below the mean, in standard deviations of the tiles. *Chosen*: darker than any
 tile."""
 
 LONGEST_WAVES = 6
-"""Waves of up to so many a period are left out of concrete. *Chosen*: such long ones would be uneven light
-and no texture, and repeat visibly."""
+"""Spatial frequency up to which concrete has no content, cycles per period. *Chosen*: lower ones look like
+uneven light, and repeat visibly."""
 
 
 def concrete(seed: int, mean: float, contrast: float) -> Array:
-    """Noise (PERIOD, PERIOD) whose spectrum falls as 1/f; mean and standard deviation in grey levels."""
+    """Return noise (PERIOD, PERIOD) with a 1/f spectrum; mean and standard deviation in grey levels."""
     rng = np.random.default_rng(seed)
     spectrum = np.fft.rfft2(rng.standard_normal((PERIOD, PERIOD)))
     fy, fx = np.fft.fftfreq(PERIOD)[:, None] * PERIOD, np.fft.rfftfreq(PERIOD)[None, :] * PERIOD
@@ -41,10 +40,12 @@ def concrete(seed: int, mean: float, contrast: float) -> Array:
 
 
 def tiles(seed: int, mean: float, contrast: float) -> Array:
-    """Square tiles (PERIOD, PERIOD), SLABS a period, each a little lighter or darker, and dark joints.
+    """Return square tiles (PERIOD, PERIOD) of random grey, SLABS per period, with dark joints.
 
-    `contrast` is the standard deviation between tiles; joints are `JOINT_CONTRAST` times that darker than the
-    mean.
+    Args:
+        seed: seed of the tiles' grey levels.
+        mean: mean grey level.
+        contrast: standard deviation between tiles. Joints are `JOINT_CONTRAST` times that below the mean.
     """
     rng = np.random.default_rng(seed)
     slab = PERIOD // SLABS
@@ -57,10 +58,10 @@ def tiles(seed: int, mean: float, contrast: float) -> Array:
 
 
 def picture(image: npt.NDArray[np.uint8]) -> Array:
-    """A grey image (height, width), its upper edge to the north, as a texture (PERIOD, PERIOD).
+    """Return a grey image (height, width), its upper edge to the north, as a texture (PERIOD, PERIOD).
 
     Raises:
-        InputError: it is not a grey image of 8 bits.
+        InputError: the image is not a grey image of 8 bits, or smaller than 2x2.
     """
     if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 2:
         raise InputError(

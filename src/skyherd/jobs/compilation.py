@@ -1,4 +1,4 @@
-"""How kernels, functions that Numba compiles, are compiled, and the types of arrays that they are given."""
+"""Compiler settings of Numba kernels, and types of their array arguments."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from numba.core import types
 
 
 def _can_be_kept() -> bool:
-    """Return whether compiled code can be cached in a folder; without one, each run compiles it."""
+    """Return whether compiled code can be cached in a folder. Without a cache each run compiles it."""
     try:
         njit(cache=True)(_can_be_kept)
     except RuntimeError:
@@ -21,22 +21,20 @@ FLAGS: Any = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz"},
 }
-"""How functions are compiled. A division by zero gives infinity, and not an error. A multiplication may be
-joined with an addition, as the processor has it; nothing else about the numbers is changed, so that those
-that are not finite are recognised."""
+"""Settings of all functions. Division by zero gives infinity instead of an error. Fused multiply-add is
+allowed, and the sign of zero is ignored. Values that are not finite are still recognised."""
 
 PARTS: Any = {**FLAGS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""How functions are compiled that only kernels call: without the ways in from Python and C, which take a
-fifth of the time to compile."""
+"""Settings of functions that only kernels call: without wrappers for Python and C, which take a fifth of the
+compile time."""
 
 INLINE: Any = {"inline": "always", **FLAGS}
-"""How functions are compiled that are called for every pixel: as part of their callers. Calls that hand over
-arrays cost as much as the arithmetic. For the same reason they count with unsigned numbers: with others each
-index is first asked whether it is negative, and so counts from the end."""
+"""Settings of functions that are called for each pixel: inlined, since a call with array arguments costs as
+much as the arithmetic. They use unsigned indices, which need no check for negative values."""
 
 
 def readonly(kind: Any, ndim: int) -> Any:
-    """Type of a contiguous array that is not written to; arrays that could be are taken too."""
+    """Return the type of a contiguous read-only array; it also accepts writable arrays."""
     return types.Array(kind, ndim, "C", readonly=True)
 
 

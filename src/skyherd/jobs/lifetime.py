@@ -1,8 +1,8 @@
-"""Processes and temporary folders that end with the process that made them, even if it is killed.
+"""Processes and temporary folders that end with their parent process, even if it is killed.
 
-A process that gets SIGKILL cannot tidy up. On Linux the kernel therefore kills its workers
-(`end_with_parent`); elsewhere each worker watches a pipe that closes with its parent. A temporary folder is
-removed by a small process of its own, which waits for the end of its maker (`temporary_folder`).
+A process that gets SIGKILL cannot clean up. On Linux the kernel therefore kills its workers
+(`end_with_parent`). On other systems each worker watches a pipe that closes with its parent. A separate
+process waits for the end of this process and removes its temporary folder (`temporary_folder`).
 """
 
 import ctypes
@@ -19,7 +19,7 @@ from multiprocessing import parent_process
 from pathlib import Path
 
 PR_SET_PDEATHSIG = 1
-"""Option of `prctl` for the signal that a process gets when its parent ends. Defined by Linux."""
+"""Option of `prctl` for the signal that a process gets when its parent ends. *Defined* by Linux."""
 
 REMOVER = """
 import os, shutil, sys, time
@@ -30,49 +30,49 @@ for _ in range(50):
         break
     time.sleep(0.1)
 """
-"""Program that removes a folder when its input ends. It tries for 5 s, while workers may still write there.
-The time is chosen: workers end within milliseconds."""
+"""Program that removes a folder when its input ends. It retries for 5 s, while workers may still write there.
+*Chosen*: workers end within milliseconds."""
 
 REMOVER_S = 10.0
-"""Longest time to wait for the program, s. Chosen: twice the time for which it tries."""
+"""Longest time to wait for the program, s. *Chosen*: twice the time of its retries."""
 
 
 def end_with_parent() -> None:
-    """Let this process, made by multiprocessing, be killed when its parent ends in any way.
+    """Make the system kill this process, created by multiprocessing, when its parent ends in any way.
 
-    Call it in the process's main thread, before any work. The thread that made the process must live as long
-    as the process is needed: Linux sends the signal at the end of that thread.
+    Call it in the process's main thread, before any work. The thread that created the process must live as
+    long as the process is needed, since Linux sends the signal at the end of that thread.
     """
     parent = parent_process()
     if parent is None:
         return
     if sys.platform == "linux" and _signal_at_parents_end():
-        if os.getppid() != parent.pid:  # it ended before the signal was set
+        if os.getppid() != parent.pid:  # The parent ended before the signal was set.
             os._exit(1)
         return
     threading.Thread(target=_exit_with_parent, daemon=True).start()
 
 
 def start_worker() -> None:
-    """Prepare a worker process of a pool: it ends with its parent, and leaves an interrupt to it."""
+    """Prepare a worker process of a pool: it ends with its parent, and ignores interrupts."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def temporary_folder(prefix: str) -> Iterator[Path]:
-    """Make a folder for temporary files, which is removed after the body or the end of this process.
+    """Create a folder for temporary files, which is removed after the body or at the end of this process.
 
     Args:
         prefix: beginning of its name.
 
     Raises:
-        OSError: it cannot be made.
+        OSError: the folder cannot be created.
     """
     folder = Path(tempfile.mkdtemp(prefix=prefix))
     remover: subprocess.Popen[bytes] | None = None
     try:
-        # A session of its own keeps away the signals of the terminal.
+        # In its own session the process does not get the terminal's signals.
         remover = subprocess.Popen(
             [sys.executable, "-I", "-S", "-c", REMOVER, str(folder)],
             stdin=subprocess.PIPE,
@@ -100,7 +100,7 @@ def _end(remover: "subprocess.Popen[bytes]") -> None:
 
 
 def _signal_at_parents_end() -> bool:
-    """Ask Linux to kill this process at the end of its parent; whether it will."""
+    """Request that Linux kills this process at the end of its parent, and return whether it succeeded."""
     try:
         libc = ctypes.CDLL(None)
         return bool(libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) == 0)
@@ -109,7 +109,7 @@ def _signal_at_parents_end() -> bool:
 
 
 def _exit_with_parent() -> None:
-    """Wait for the end of the parent, at which a pipe closes, and end this process."""
+    """Wait for the end of the parent, and end this process."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -1,4 +1,4 @@
-"""The radio by Zenoh: each process a peer, and nothing between them."""
+"""Radio over Zenoh: each process is a peer, without a router."""
 
 import json
 import threading
@@ -14,31 +14,30 @@ from skyherd.live.mailbox import Radio
 
 ANY_PORT = "tcp/127.0.0.1:0"
 """Additional address on which a process without TLS listens: any port of loopback. Only one process of a
-machine gets the port of the file. The others connect to it, learn of each other there, and connect here."""
+machine gets the port of the file. The others connect to it, discover each other there, and connect here."""
 
 RETRY_MS = 300
-"""Time between two tries to get the port of the file, and to reach whoever has it, ms. Chosen: a new process
-finds nobody for so long."""
+"""Interval between attempts to bind the port of the file, and to connect to its owner, ms. Chosen: it delays
+the discovery of a new process by at most this time."""
 
 CLOSE_S = 1.0
-"""Longest time that leaving takes, s. Chosen: what was published is sent within milliseconds."""
+"""Timeout of closing the session, s. Chosen: published messages are sent within milliseconds."""
 
 
 class ZenohRadio(Radio):
-    """A Zenoh session in peer mode, which nothing finds that is not told where.
+    """Zenoh session in peer mode, without multicast scouting.
 
-    Multicast scouting is off. Peers tell each other of the peers that they know, so that it is enough for
-    each to reach one. Where the port of the file is taken, a process tries on, and takes it over once it is
-    free: no process is the middle. It tries on to reach the others, too: of two that begin at the same moment
-    neither has the port yet when the other one looks for it.
+    Peers exchange the addresses of known peers, so that a connection to one peer is enough. If the port of
+    the file is in use, a process retries and takes it over once it is free. No process is therefore central.
+    Connecting is retried too, since of two processes that start together neither may have the port yet.
 
     Args:
-        places: where to listen and to connect to.
-        folder: the folder to which names of certificates are relative.
-        insecure: allow places beyond loopback without TLS and client certificates.
+        places: addresses to listen on and to connect to.
+        folder: folder to which the names of certificates are relative.
+        insecure: allow addresses beyond loopback without TLS and client certificates.
 
     Raises:
-        InputError: Zenoh is not installed, the places are not secured, or Zenoh refuses them.
+        InputError: Zenoh is not installed, the addresses are not secured, or Zenoh refuses them.
     """
 
     def __init__(self, places: LabRadio, folder: Path, *, insecure: bool = False) -> None:
@@ -79,22 +78,21 @@ class ZenohRadio(Radio):
         self._subscribers: list[Any] = []
 
     def publish(self, topic: str, data: bytes) -> None:
-        """Send to all that listen now; dropped where the line is full."""
+        """Send to all current subscribers; a congested link drops the message."""
         self._session.put(topic, data, congestion_control=self._drop)
 
     def subscribe(self, pattern: str, take: Callable[[bytes], None]) -> None:
-        """Call `take`, from a thread of Zenoh's, with all that comes under a pattern."""
+        """Call `take`, from a thread of Zenoh, with each message on topics that match a pattern."""
         self._subscribers.append(
             self._session.declare_subscriber(pattern, lambda sample: take(bytes(sample.payload)))
         )
 
     def close(self) -> None:
-        """Leave the others; what was published before is sent.
+        """Close the session; messages published before are sent.
 
-        Zenoh's own closing waits ten seconds for a process that still tries to get the port of the file: the
-        task that tries is not told to end (eclipse-zenoh/zenoh issue 2675 and pull request 2754, both open
-        in August 2026). So this waits for `CLOSE_S` only. The connections end with the process at the latest,
-        at which the others notice.
+        Zenoh's `close` takes ten seconds if the session still retries to bind the port of the file. It does
+        not cancel that task (eclipse-zenoh/zenoh issue 2675 and pull request 2754, both open in August 2026).
+        This method therefore waits at most `CLOSE_S`. The connections end with the process at the latest.
         """
         closing = threading.Thread(target=self._close_session, daemon=True)
         closing.start()
@@ -106,10 +104,10 @@ class ZenohRadio(Radio):
 
 
 def additional_places(places: LabRadio) -> list[str]:
-    """Return the addresses with a free port on which a process listens beside those of the file.
+    """Return the addresses with a free port on which a process listens in addition to those of the file.
 
-    With certificates these use TLS and the hosts of the file, for which the certificate was issued. Without
-    certificates there is a plain port, on loopback only, and none if the file asks for TLS.
+    With certificates they use TLS and the hosts of the file, for which the certificate was issued. Without
+    certificates it is a plain port of loopback, and none if an address of the file requires TLS.
     """
     if places.has_certificates:
         named = places.listen or (places.connect if places.is_loopback else [])

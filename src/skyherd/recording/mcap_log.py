@@ -18,7 +18,7 @@ CHUNK_BYTES = 1 << 16
 worse, larger ones lose more when damaged."""
 
 FLUSH_S = 0.5
-"""Time, s, of which a killed process loses no more. Chosen: robots hardly move in it, and shorter chunks
+"""Longest time span that a killed process loses, s. Chosen: robots move little in it, and shorter chunks
 compress worse."""
 
 Schema = tuple[str, type | dict[str, Any]]
@@ -29,7 +29,7 @@ class McapLog:
     """Numbered JSON messages with schemas, in checksummed chunks that end at `flush`.
 
     Attributes:
-        topics: topics and their schemas. All are registered at the start, numbered from 1, so that no chunk
+        topics: topics and their schemas. All are registered at the start, with ids from 1, so that no chunk
             depends on another.
         pending_bytes: size of the data since the last `flush`, which is lost if the process is killed.
 
@@ -45,7 +45,7 @@ class McapLog:
         self.topics, self.pending_bytes = topics, 0
         self._flushed_s = -math.inf
         self._file = path.open("wb")
-        # A chunk ends where `flush` says so, never between messages that belong together.
+        # A chunk ends only at `flush`, never between messages that belong together.
         self._writer = Writer(
             self._file, chunk_size=sys.maxsize, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
@@ -71,13 +71,13 @@ class McapLog:
         self.pending_bytes += len(data)
 
     def flush_when_due(self, now_s: float, next_s: float | None = None) -> None:
-        """Write a chunk if more than `FLUSH_S` or `CHUNK_BYTES` would be lost otherwise.
+        """Write a chunk if a kill of the process would lose more than `FLUSH_S` or `CHUNK_BYTES`.
 
-        Call it after messages that belong together. A clock that goes back makes a chunk due.
+        Call it after messages that belong together. A clock that goes back also causes a chunk.
 
         Args:
             now_s: time of the last message.
-            next_s: time of the next call, if it is known; None to judge by `now_s`.
+            next_s: time of the next call; None if unknown, which uses `now_s`.
         """
         age_s = (now_s if next_s is None else next_s) - self._flushed_s
         if self.pending_bytes >= CHUNK_BYTES or not 0 <= age_s <= FLUSH_S + TIME_TOLERANCE_S:
@@ -108,5 +108,5 @@ class McapLog:
 
 
 def nanoseconds(time_s: float) -> int:
-    """Return a time in the unit of MCAP files."""
+    """Return a time, s, in ns, the unit of MCAP files."""
     return round(time_s * 1e9)

@@ -1,10 +1,10 @@
 """Execution of runs in many processes by Dask: local ones, or those of an existing cluster.
 
-A worker makes one run at a time on one thread, without any file (`skyherd.study.measure`), and sends back its
-outcome. Local workers listen to this machine alone and have no dashboard. Whoever reaches a worker can let it
-run anything, and every user of a machine reaches its ports: local workers and their scheduler therefore speak
-TLS, with a certificate that is made for the run, stays in memory, and that all of them ask each other for.
-Local workers and their temporary files end with this process, even if it is killed.
+A worker executes one run at a time on one thread, without any file (`skyherd.study.measure`), and returns its
+outcome. Local workers listen only on this machine and have no dashboard. A process that can connect to a
+worker can execute any code there, and all users of a machine can connect to its ports. Local workers and
+their scheduler therefore use mutual TLS, with a temporary certificate that stays in memory. Local workers and
+their temporary files end with this process, even if it is killed.
 """
 
 import logging
@@ -30,35 +30,35 @@ from skyherd.study.measure import Outcome, failure, measure
 from skyherd.version import __version__
 
 PROTOCOLS = ("tcp://", "tls://")
-"""How the address of a scheduler begins."""
+"""Protocols of a scheduler's address."""
 
 WINDOW = 4
-"""Runs that are submitted at a time for each thread of the cluster. Chosen: with 1 threads wait between two
-runs; larger values make more missions before they are needed."""
+"""Submitted runs per thread of the cluster. Chosen: with 1 a thread is idle between two runs; larger values
+create missions long before they are needed."""
 
 TIMEOUT_S = 5.0
-"""Time, s, in which a scheduler must answer, and have a worker."""
+"""Timeout of a scheduler's answer, and of its first worker, s."""
 
 WORKER_DEATHS = 2
-"""A run that was on more workers than this when they died is taken as the reason, and counts as failed."""
+"""Number of deaths of its workers above which a run counts as failed."""
 
 LOST = "lost"
-"""Status of a run whose outcome died with its worker; the scheduler gives it to another. Defined by Dask."""
+"""Status of a run whose outcome was lost with its worker. Defined by Dask."""
 
 GONE = "the scheduler stopped; the same command continues from here"
 """Message of the error when the cluster stops answering."""
 
 LOGGERS = ("distributed", "distributed.client", "distributed.utils", "tornado", "asyncio")
-"""Loggers that are silenced: an error of the cluster is reported once, as an exception of skyherd."""
+"""Silenced loggers. An error of the cluster is reported once, as an exception of skyherd."""
 
 WORKER_START = "skyherd.study.worker_start"
-"""Module that Dask loads in each local worker before its first run."""
+"""Module that Dask imports in each local worker before its first run."""
 
 _SETTINGS = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
     "distributed.scheduler.allowed-failures": WORKER_DEATHS,
-    "distributed.scheduler.worker-saturation": 1.0,  # no run waits on a worker, lest it be blamed for a death
+    "distributed.scheduler.worker-saturation": 1.0,  # a waiting run would count as a reason of a death
     "distributed.admin.large-graph-warning-threshold": "1GB",
     "distributed.nanny.pre-spawn-environ.OPENBLAS_NUM_THREADS": 1,
     "distributed.nanny.pre-spawn-environ.OMP_NUM_THREADS": 1,
@@ -72,10 +72,10 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
 
     Args:
         scheduler: address of a scheduler, such as `tcp://192.168.1.2:8786`; local processes if None.
-        jobs: number of local processes of one thread; one a core if None.
+        jobs: number of local processes of one thread; one per core if None.
 
     Raises:
-        InputError: nothing answers there, it has no workers, or their version of skyherd is another.
+        InputError: no scheduler answers, it has no workers, or a worker has another version of skyherd.
         OutputError: local processes could not be started.
     """
     for name in LOGGERS:
@@ -100,17 +100,18 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
 def run_missions(
     client: Client, missions: Iterable[tuple[str, Mission]], curves: Sequence[str]
 ) -> Iterator[list[Outcome]]:
-    """Run missions, and yield their outcomes in batches as they come, in no particular order.
+    """Run missions, and yield their outcomes in batches in order of completion.
 
-    Missions are taken from the iterable only when a worker will soon be free, so that there may be very many.
+    A mission is taken from the iterable only when a worker will soon be free. The iterable may therefore be
+    very long.
 
     Args:
-        client: of the cluster.
+        client: client of the cluster.
         missions: key and mission of each run.
         curves: fields of the history that are kept as arrays over time.
 
     Raises:
-        OutputError: the cluster is gone.
+        OutputError: the scheduler stopped.
     """
     waiting, done = iter(missions), as_completed()
     while True:
@@ -122,7 +123,7 @@ def run_missions(
         outcomes = []
         for future in done.next_batch():
             if future.status == LOST and client.status == "running":
-                done.add(future)  # its worker died before the outcome was fetched: it is made again
+                done.add(future)  # Its worker died before the outcome was fetched; Dask repeats the run.
             else:
                 outcomes.append(_outcome(future))
         if outcomes:
@@ -130,7 +131,11 @@ def run_missions(
 
 
 def _threads(client: Client) -> int:
-    """Return the cluster's current threads, at least 1; OutputError if the scheduler is gone."""
+    """Return the number of threads of the cluster, at least 1.
+
+    Raises:
+        OutputError: the scheduler stopped.
+    """
     try:
         threads: int = sum(client.nthreads().values())
     except OSError:
@@ -153,16 +158,16 @@ def _outcome(future: Any) -> Outcome:
 
 @contextmanager
 def _interrupts_delayed() -> Iterator[None]:
-    """Delay an interrupt (Ctrl-C) until workers have started, since half-started ones cannot be closed.
+    """Delay an interrupt (Ctrl-C) until the workers have started, since they cannot be closed before.
 
-    Workers inherit the signal mask of this thread, also those that are started later: only this process
-    reacts to an interrupt. SIGTERM is delayed too, but not masked: by it workers are ended.
+    All workers inherit the signal mask of this thread, so that only this process reacts to an interrupt.
+    SIGTERM is delayed but not masked, since it ends workers.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     delayed: list[int] = []
-    resource_tracker.ensure_running()  # started later, it would take the mask away
+    resource_tracker.ensure_running()  # If it starts later, it removes the mask.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     handlers = {
         number: signal.signal(number, lambda number, frame: delayed.append(number))
@@ -179,11 +184,11 @@ def _interrupts_delayed() -> Iterator[None]:
 
 
 def _local_cluster(jobs: int, folder: Path) -> LocalCluster:
-    """Start workers of one thread that listen to this machine alone, by TLS, without a dashboard.
+    """Start workers of one thread that listen only on this machine, by TLS, without a dashboard.
 
     Args:
         jobs: number of workers.
-        folder: for their temporary files.
+        folder: folder of their temporary files.
     """
     try:
         return LocalCluster(
@@ -220,7 +225,7 @@ def _connect(address: str) -> Iterator[Client]:
         raise InputError(f"--scheduler {address}", f"TLS fails: {error.reason}", allowed) from None
     except OSError:
         raise InputError(f"--scheduler {address}", "no scheduler answers there", allowed) from None
-    except TypeError:  # of a TLS address without certificates
+    except TypeError:  # a TLS address without certificates
         raise InputError(f"--scheduler {address}", "no certificates for TLS", allowed) from None
     except (ValueError, RuntimeError):
         raise InputError(f"--scheduler {address}", "not an address", allowed) from None
@@ -237,7 +242,7 @@ def _connect(address: str) -> Iterator[Client]:
 
 
 def _version() -> str:
-    """Return skyherd's version at the place of the call: on a worker."""
+    """Return the version of skyherd in the process that calls it, a worker."""
     return __version__
 
 

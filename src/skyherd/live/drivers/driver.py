@@ -1,4 +1,4 @@
-"""The thread that keeps a robot informed: the last command while it is fresh, and then zero."""
+"""Driver thread of a robot: it repeats the last command while it is fresh, and then sends zero."""
 
 import threading
 import time
@@ -16,41 +16,43 @@ from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
 RATE_HZ = 20.0
-"""How often a command is repeated, 1/s. *Chosen*: robots stop after some tenths of a second without one."""
+"""Rate at which commands are repeated, 1/s. *Chosen*: robots stop after some tenths of a second without
+one."""
 
 HOLD_S = 0.5
-"""Age at which a command is forgotten and zero is sent, s. *Chosen*: two or three images of a slow camera."""
+"""Watchdog time: age at which a command is stale and zero is sent, s. *Chosen*: two or three images of a slow
+camera."""
 
 MIN_SHARE = 0.25
-"""A new command is written at once, but no sooner after another than this share of the usual interval.
-*Chosen*: whoever sends too often does not fill a slow line."""
+"""Shortest time between two writes, as a share of the usual interval. *Chosen*: new commands are written
+almost at once, and cannot fill a slow link."""
 
 STOPS = 3
-"""How often zero is written by `close`. *Chosen*: one or two may get lost on the way."""
+"""Number of zeros that `close` writes. *Chosen*: one or two may be lost."""
 
 CLOSE_S = 2.0
-"""How long `close` waits until zero is out, s. *Chosen*: longer than any link's `write` should take."""
+"""Longest time that `close` waits for the zeros, s. *Chosen*: longer than any link's `write` should take."""
 
 
 class RobotDriver:
-    """Drives one robot: repeats its last command while that is fresh, and sends zero once it is not.
+    """Driver of one robot: it repeats the last command while it is fresh, and sends zero once it is stale.
 
-    All writing happens in a thread of its own, at a steady rate. `send` only leaves the command there: it
-    never waits, and whoever stops calling it stops the robot. What is written was brought within the limits.
+    A separate thread writes at a steady rate, within the limits. `send` stores the command and never blocks.
+    The robot stops if `send` is not called again within `hold_s`.
 
     Args:
-        link: where motions are written to.
-        robot_id: the robot, or the unit that flies.
-        limits: on speed, turn and acceleration.
-        flies: whether it is a unit that flies, which all that is written says.
-        rate_hz: how often something is written.
-        hold_s: age at which a command is forgotten.
-        clock: gives the time, s.
-        pause: waits for so many seconds, or less if there is a new command; a real wait if None.
+        link: link that writes motions.
+        robot_id: the robot, or the flying unit.
+        limits: limits of speed, turn rate and acceleration.
+        flies: True for a flying unit; all written motions are marked with it.
+        rate_hz: rate of writes.
+        hold_s: watchdog time; older commands are stale.
+        clock: returns the time, s.
+        pause: waits for a number of seconds, or until a new command; a real wait if None.
 
     Attributes:
-        written: number of motions that were written.
-        failed: number of those that could not be.
+        written: number of attempted writes.
+        failed: number of failed writes.
 
     Raises:
         InputError: `rate_hz` or `hold_s` is not above 0.
@@ -84,10 +86,10 @@ class RobotDriver:
         self._thread.start()
 
     def send(self, command: VelocityCommand) -> None:
-        """Take over the command for this robot, among those for a team.
+        """Set this robot's command from those of a team.
 
         Raises:
-            MessageError: there is none for it.
+            MessageError: the message has no command for this robot.
         """
         row = np.flatnonzero(command.ids == self.robot_id)
         if not row.size:
@@ -97,10 +99,10 @@ class RobotDriver:
         self.send_motion(Motion(command.v_mps[row[0]], command.omega_radps[row[0]]))
 
     def send_flight(self, command: FlightCommand) -> None:
-        """Take over a flight command of a unit whose camera looks down with its image's top ahead.
+        """Set the flight command of a unit whose camera looks down, with the top of its image ahead.
 
         Raises:
-            InputError: it is the driver of a robot on wheels.
+            InputError: the driver is that of a robot on wheels.
         """
         if not self.flies:
             raise InputError(f"driver {self.name}", "a flight command for wheels", "a driver with flies=True")
@@ -115,18 +117,18 @@ class RobotDriver:
         )
 
     def send_motion(self, motion: Motion) -> None:
-        """Take over a motion; its numbers may be anything, since they are limited before they are written."""
+        """Set the motion. It may have arbitrary values, since the limits are applied before each write."""
         with self._lock:
             self._wanted, self._sent_s = motion, self._clock()
         self._news.set()
 
     @property
     def trouble(self) -> str | None:
-        """Why the last motion could not be written, in one line; None if it could."""
+        """Reason, in one line, why the last write failed; None if it succeeded."""
         return self._trouble
 
     def close(self) -> None:
-        """Send zero and close the link. May be called again; after it nothing is written."""
+        """Send zero and close the link. It may be called repeatedly; nothing is written afterwards."""
         self._closing.set()
         self._news.set()
         if self._thread is not threading.current_thread():
@@ -141,7 +143,7 @@ class RobotDriver:
         self.close()
 
     def _run(self) -> None:
-        """Write at a steady rate until closed; zero comes last, whatever happens."""
+        """Write at a steady rate until closed, and zeros at the end, also after an exception."""
         try:
             while not self._closing.is_set():
                 self._write(self._due())
@@ -152,19 +154,19 @@ class RobotDriver:
             self._link.close()
 
     def _await_news(self, seconds: float) -> None:
-        """Wait until there is a new command, for so long at most, and for a share of it in any case."""
+        """Wait for a new command, at least `MIN_SHARE` of `seconds` and at most `seconds`."""
         if not self._closing.wait(MIN_SHARE * seconds):
             self._news.wait((1 - MIN_SHARE) * seconds)
         self._news.clear()
 
     def _due(self) -> Motion:
-        """What is to be written now."""
+        """Return the motion to write now: the last command, or zero if it is stale."""
         with self._lock:
             age_s = self._clock() - self._sent_s
             return self._wanted if 0 <= age_s < self.hold_s else STILL
 
     def _write(self, motion: Motion) -> None:
-        """Write a motion within the limits; what cannot be written is counted."""
+        """Write a motion within the limits, and count failures."""
         now_s = self._clock()
         allowed = self._limiter.limit(motion, now_s - self._written_s)
         self._written_s = now_s
@@ -172,7 +174,7 @@ class RobotDriver:
         try:
             self._link.write(replace(allowed, flies=self.flies))
             self._trouble = None
-        except Exception as error:  # a link of one's own may fail in any way, and zero must still be tried
+        except Exception as error:  # A custom link may raise anything, and later zeros must still be tried.
             self.failed += 1
             words = " ".join(str(getattr(error, "strerror", None) or error).split())
             self._trouble = f"{self.name}: cannot be written to: {words or type(error).__name__}"

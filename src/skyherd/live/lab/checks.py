@@ -1,4 +1,4 @@
-"""What the keys of a lab file have to keep together, and those whose values are names of something."""
+"""Checks of a lab file that involve several keys, or names."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -12,19 +12,19 @@ from skyherd.text import one_of
 from skyherd.vision import detector_names
 
 Problem = tuple[str, str, str]
-"""Dotted key, what is wrong with its value, and what is allowed."""
+"""Dotted key, the fault of its value, and the allowed values."""
 
 
 def check_model(model: LabModel, where: str, origins: Mapping[str, str] | None = None) -> None:
-    """Check what the types of a lab's keys leave open.
+    """Check the conditions on a lab that its types do not express.
 
     Args:
         model: the lab.
-        where: the file, or what to call it.
-        origins: options that gave values, by dotted key, to name them as the places of problems.
+        where: name of the file in error messages.
+        origins: command line options that set values, by dotted key, for error messages.
 
     Raises:
-        InputError: a line for each problem: the file or the option, the key, the value, and what is allowed.
+        InputError: a line for each problem: file or option, key, value, and allowed values.
     """
     problems = [
         InputError(locate(where, key, origins or {}), what, allowed)
@@ -38,16 +38,16 @@ def check_model(model: LabModel, where: str, origins: Mapping[str, str] | None =
 def check_drivers(
     model: LabModel, where: str, *, imports: bool = False, origins: Mapping[str, str] | None = None
 ) -> None:
-    """Check the addresses of all drivers as far as that needs no hardware and no network.
+    """Check the addresses of all drivers, without hardware and network.
 
     Args:
         model: the lab.
-        where: the file, or what to call it.
-        imports: also import factories of one's own, which have to be on this machine then.
-        origins: options that gave values, by dotted key, to name them as the places of problems.
+        where: name of the file in error messages.
+        imports: also import custom factories, which then must exist on this machine.
+        origins: command line options that set values, by dotted key, for error messages.
 
     Raises:
-        InputError: an address is not one that a driver can have; the error has a line for each.
+        InputError: a line for each invalid address.
     """
     addresses = [(f"robots.{index}", robot.id, robot.driver) for index, robot in enumerate(model.robots)]
     addresses += [
@@ -68,13 +68,13 @@ def check_drivers(
 
 
 def _name_problems(model: LabModel) -> Iterator[Problem]:
-    """Whether the team has a name that topics can have."""
+    """Check that topics can contain the team's name."""
     if not re.fullmatch(TEAM_PATTERN, model.team):
         yield "team", repr(model.team), "1 to 40 letters, digits, _ and -; the first is not -"
 
 
 def _limit_problems(model: LabModel) -> Iterator[Problem]:
-    """Whether goals live for at least two commands."""
+    """Check that goals stay fresh for at least two commands."""
     limits = model.limits
     if limits.goal_timeout_s < 2 * limits.period_s:
         allowed = f"at least two period_s, which is {2 * limits.period_s:g}"
@@ -82,7 +82,7 @@ def _limit_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _detector_problems(model: LabModel) -> Iterator[Problem]:
-    """Whether there are such detectors."""
+    """Check that the detectors exist."""
     names = detector_names()
     for unit, camera in enumerate(model.cameras):
         if camera.detector not in names:
@@ -91,7 +91,7 @@ def _detector_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _robot_problems(model: LabModel) -> Iterator[Problem]:
-    """Whether the dictionary has a marker for each robot, and each robot its own."""
+    """Check that the dictionary has each robot's marker, and that markers are unique."""
     dictionary = model.markers.dictionary
     size, seen = dictionary_size(dictionary), set[int]()
     for index, robot in enumerate(model.robots):
@@ -104,7 +104,7 @@ def _robot_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _shape_problems(model: LabModel) -> Iterator[Problem]:
-    """Whether the shape is given once, and has a point for each robot."""
+    """Check that exactly one of `shape` and `points` is given, with a point for each robot."""
     shape, robots = model.shape, len(model.robots)
     if (shape.shape is None) == (shape.points is None):
         both = "neither shape nor points" if shape.shape is None else "both shape and points"
@@ -114,7 +114,7 @@ def _shape_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _body_problems(model: LabModel) -> Iterator[Problem]:
-    """Check obstacles, and that the bound on robots' speed holds with the other keys."""
+    """Check obstacles, and that avoidance is consistent with the other keys."""
     avoidance, dictionary = model.avoidance, model.markers.dictionary
     ids = [robot.id for robot in model.robots]
     try:
@@ -143,4 +143,4 @@ CHECKS = (
     _shape_problems,
     _body_problems,
 )
-"""The checks of a lab, in the order of their problems."""
+"""Checks of a lab, in the order of their problems."""

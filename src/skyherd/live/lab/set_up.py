@@ -1,4 +1,4 @@
-"""A checked lab, and what it says of each process: the controller of a unit, the computer of a robot."""
+"""Checked lab, and factories of its units and robots."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,18 +33,18 @@ from skyherd.live.unit_core import UnitCore
 from skyherd.sim.robot_teams import Timing, make_avoidance_rule
 
 NOMINAL_AGE_SHARE = 0.5
-"""Age of images at which robots are fastest, as a share of `goal_timeout_s`. Chosen: a typical
-age. It has no part in safety."""
+"""Image age at which robots are fastest, as a share of `goal_timeout_s`. Chosen: a typical age. It does not
+affect safety."""
 
 
 @dataclass(frozen=True)
 class Lab:
-    """A checked lab.
+    """Checked lab.
 
     Attributes:
-        model: the file, key by key.
-        template: the shape, a point for each robot.
-        folder: the folder to which files are relative.
+        model: content of the file.
+        template: shape, with a point for each robot.
+        folder: folder to which files are relative.
     """
 
     model: LabModel
@@ -53,14 +53,14 @@ class Lab:
 
     @property
     def ids(self) -> list[int]:
-        """The robots' markers, ascending."""
+        """Markers of the robots, ascending."""
         return sorted(robot.id for robot in self.model.robots)
 
     def robot(self, robot_id: int) -> LabRobot:
-        """The entry of one robot.
+        """Return the entry of one robot.
 
         Raises:
-            InputError: there is none with this marker.
+            InputError: the lab has no robot with this marker.
         """
         for robot in self.model.robots:
             if robot.id == robot_id:
@@ -68,10 +68,10 @@ class Lab:
         raise InputError("robot", f"no robot {robot_id} in this lab", f"one of {self.ids}")
 
     def camera(self, unit: int) -> LabCamera:
-        """The entry of one unit.
+        """Return the entry of one unit.
 
         Raises:
-            InputError: there is none of this number.
+            InputError: the lab has no unit of this number.
         """
         if not 0 <= unit < len(self.model.cameras):
             raise InputError("unit", f"no unit {unit} in this lab", f"0 to {len(self.model.cameras) - 1}")
@@ -90,7 +90,7 @@ class Lab:
             self.robot(int(number))
 
     def make_controller(self, unit: int) -> AerialController:
-        """The controller of one unit: the simulator's, with what the file says."""
+        """Return the controller of one unit: the simulator's, with the settings of the file."""
         model = self.model
         flight = self.camera(unit).flight
         return AerialController(
@@ -107,10 +107,10 @@ class Lab:
         )
 
     def make_unit(self, unit: int) -> UnitCore:
-        """The computer of one unit.
+        """Return the decision logic of one unit.
 
         Raises:
-            InputError: there is none of this number.
+            InputError: the lab has no unit of this number.
         """
         return UnitCore(
             unit,
@@ -134,9 +134,9 @@ class Lab:
     def command_life_s(self) -> float:
         """Longest time for which a robot obeys a command without a new decision.
 
-        A robot's process may stop right before it decides again. Its driver forgets the command `HOLD_S`
-        later and writes zero at the next of its writes. If the driver stops as well, the robot's own
-        keep-alive, of `HOLD_S` at most, ends what was written last.
+        A robot's process may stop right before its next decision. The command is stale in the driver after
+        `HOLD_S`, and the driver's next write is zero. If the driver stops as well, the robot's own watchdog,
+        of at most `HOLD_S`, ends the last command.
         """
         return HOLD_S + max(1 / RATE_HZ, self.model.limits.period_s)
 
@@ -165,13 +165,13 @@ class Lab:
 
     @property
     def clock_limits(self) -> ClockLimits:
-        """When another process's clock is not trusted."""
+        """Limits of trust in another process's clock."""
         limits = self.model.limits
         return ClockLimits(limits.clock_offset_s, limits.clock_uncertainty_s)
 
     @property
     def speed_limits(self) -> SpeedLimits:
-        """What a robot may be told at most."""
+        """Limits of a robot's commands."""
         limits = self.model.limits
         return SpeedLimits(
             limits.max_speed_mps,
@@ -181,10 +181,10 @@ class Lab:
         )
 
     def make_robot(self, robot_id: int) -> RobotCore:
-        """The computer of one robot.
+        """Return the decision logic of one robot.
 
         Raises:
-            InputError: there is no robot with this marker.
+            InputError: the lab has no robot with this marker.
         """
         self.robot(robot_id)
         control, limits = self.model.control, self.model.limits

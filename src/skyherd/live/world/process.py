@@ -1,8 +1,8 @@
-"""A scenario's world as a process of its own: to the rest of the system it is hardware.
+"""Simulated world as a separate process, which replaces the hardware.
 
-It renders what each camera sees, streams it as H.264 in FLV over TCP to whoever connects, and drives its
-robots and flies its units by the commands that come over the radio. Wheels stop by themselves when no command
-came for `HOLD_S`, as those of a robot with a keep-alive do. It alone knows the truth, and records it.
+It renders the image of each camera and streams it as H.264 in FLV over TCP to all clients. Commands from the
+radio move its robots and units. Wheels stop if no command arrives for `HOLD_S`, like those of a robot with a
+watchdog. Only this process knows the ground truth, and records it.
 """
 
 import math
@@ -29,27 +29,27 @@ from skyherd.sim.physics import make_world
 from skyherd.sim.truth_metrics import TruthObserver
 
 HOLD_S = 0.5
-"""A wheel without a command for so long stands still, s of real time. Chosen: as the drivers of
-`skyherd.live.drivers` do."""
+"""Watchdog time of the wheels: age of a command above which they stop, s of real time. Chosen: as in
+`skyherd.live.drivers`."""
 
 FIRST_PORT = 7461
-"""Port of the first camera. Chosen: beside the radio's."""
+"""TCP port of the first camera. Chosen: near the radio's."""
 
 TOPICS: dict[str, Schema] = {
     "/scenario": ("skyherd.WorldScenario", {"type": "object"}),
     "/truth": ("skyherd.WorldTruth", {"type": "object"}),
 }
-"""What the world records: the scenario, and at each step where everything is and what wheels were told."""
+"""Recorded topics: the scenario, and the poses and wheel commands of each step."""
 
 
 @dataclass
 class WheelState:
-    """What one robot's wheels were told last.
+    """Last wheel command of one robot.
 
     Attributes:
-        v_mps: speed, in metres a second of real time.
-        omega_radps: turn rate, in radians a second of real time.
-        told_s: when, by the world's clock; -inf if never.
+        v_mps: speed, m/s of real time.
+        omega_radps: turn rate, rad/s of real time.
+        told_s: time of its arrival on the world's clock; -inf without a command.
     """
 
     v_mps: float = 0.0
@@ -59,15 +59,16 @@ class WheelState:
 
 @dataclass
 class WorldProcess:
-    """The world of a mission, a step at a time, between a radio and viewers of its cameras.
+    """Simulated world of a mission, advanced in time steps, with radio and camera streams.
 
     Attributes:
-        mission: what is simulated.
-        speed: seconds of the scenario a second of real time.
-        clock: the time of the wheels' commands.
-        mailbox: what it hears.
-        path: where it records the truth; None for nowhere.
-        streams: the cameras, by unit.
+        mission: the simulated mission.
+        speed: seconds of the scenario per second of real time.
+        clock: returns the time, s, with which wheel commands are stamped.
+        mailbox: received commands.
+        path: file for the recording of the ground truth; None for none.
+        streams: camera streams, by unit.
+        wheels: last wheel command of each robot, by id.
     """
 
     mission: Mission
@@ -94,11 +95,11 @@ class WorldProcess:
 
     @property
     def time_s(self) -> float:
-        """Time of the scenario."""
+        """Time of the scenario, s."""
         return self._time_s
 
     def hear(self) -> None:
-        """Take in what has come over the radio."""
+        """Process the commands that have arrived from the radio."""
         for arrival in self.mailbox.fetch():
             message = arrival.envelope.message
             if isinstance(message, Wheels) and message.robot_id in self.wheels:
@@ -108,7 +109,7 @@ class WorldProcess:
                 self._world.fly(self._slowed(message))
 
     def step(self) -> float:
-        """Show the cameras what there is, and move on by a time step; returns the shape error before it."""
+        """Render due images, advance by a time step, and return the shape error before the step."""
         scenario, now_s = self.mission.scenario, self.clock()
         self._begun_s = now_s if self._begun_s is None else self._begun_s
         for unit, model in enumerate(scenario.units):
@@ -129,7 +130,7 @@ class WorldProcess:
         return float(metrics.shape.error)
 
     def close(self) -> None:
-        """Finish the recording, and end the streams."""
+        """Finish the recording, and close the streams."""
         if self._log is not None:
             self._log.close()
         for stream in self.streams:
@@ -151,7 +152,7 @@ class WorldProcess:
         )
 
     def _slowed(self, command: FlightCommand) -> FlightCommand:
-        """A flight command in seconds of the scenario."""
+        """Convert a flight command from rates in real time to rates in scenario time."""
         share = 1 / self.speed
         return replace(
             command,
@@ -196,19 +197,19 @@ def run_world(
     tell: Callable[[str], None] = lambda line: None,
     ended: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Be a world in real time, or at a fraction of it, for the scenario's duration.
+    """Run a world for the scenario's duration, in real time or slower.
 
-    Each step lasts `step_s / speed`; where the machine is too slow for that, the world is late, and says so.
+    Each step lasts `step_s / speed`. A step that takes longer is late. The number of late steps is reported.
 
     Args:
-        mission: what is simulated.
-        radio: brings the commands.
-        team: whose commands are obeyed.
-        speed: seconds of the scenario a second of real time.
-        path: where the truth is recorded; None for nowhere.
+        mission: the simulated mission.
+        radio: radio that receives the commands.
+        team: name of the team whose commands are obeyed.
+        speed: seconds of the scenario per second of real time.
+        path: file for the recording of the ground truth; None for none.
         first_port: TCP port of the first camera; the others follow.
-        tell: says a line to people.
-        ended: asked before each step; True ends the world.
+        tell: called with each line of the report.
+        ended: called before each step; True ends the world.
     """
     clock = LiveClock()
     scenario = mission.scenario

@@ -442,7 +442,7 @@ def test_future_image_is_accepted_within_uncertainty(ahead_s, accepted) -> None:
 
 
 @pytest.mark.parametrize("other", [ROBOT - 1, ROBOT + 1])
-def test_goal_of_another_robot_is_left_out(other) -> None:
+def test_goal_of_another_robot_is_ignored(other) -> None:
     scene = Scene()
     scene.wake()
     empty = np.zeros((2, 0))

@@ -1,4 +1,4 @@
-"""The radio over TLS with client certificates: who has none of the team's is neither heard nor told."""
+"""Radio over TLS with client certificates: processes without one can neither send nor receive."""
 
 import datetime
 import ipaddress
@@ -27,7 +27,7 @@ def name(text):
 
 
 def make_authority(folder, who):
-    """An authority's key and certificate; the latter is written too."""
+    """Return the name and key of a new authority, and write its certificate."""
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = (
         _certificate(who, who, key)
@@ -39,7 +39,7 @@ def make_authority(folder, who):
 
 
 def make_member(folder, who, authority):
-    """Write a certificate for 127.0.0.1 that an authority signed, and its key."""
+    """Write a certificate for 127.0.0.1, signed by an authority, and its key."""
     signer, signing_key = authority
     key = ec.generate_private_key(ec.SECP256R1())
     here = x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))])
@@ -76,7 +76,7 @@ def folder(tmp_path):
 
 
 @pytest.mark.slow
-def test_members_hear_each_other_and_a_stranger_is_neither_heard_nor_hears(folder) -> None:
+def test_only_members_with_certificates_exchange_messages(folder) -> None:
     pytest.importorskip("zenoh")
     from skyherd.live.zenoh_radio import ZenohRadio
 
@@ -97,7 +97,7 @@ def test_members_hear_each_other_and_a_stranger_is_neither_heard_nor_hears(folde
     try:
         join("a", listen=[place])
         join("b")
-        join("stranger")  # whose certificate another authority signed
+        join("stranger")  # signed by another authority
         join("naked", certified=False)
         wait_for(lambda: (all_speak(), {b"b"} <= set(heard["a"]) and {b"a"} <= set(heard["b"]))[1], "members")
         for _ in range(40):
@@ -106,7 +106,7 @@ def test_members_hear_each_other_and_a_stranger_is_neither_heard_nor_hears(folde
     finally:
         for radio in radios.values():
             radio.close()
-    # A process hears itself as well.
+    # A process also receives its own messages.
     assert set(heard["a"]) == set(heard["b"]) == {b"a", b"b"}
     assert set(heard["stranger"]) <= {b"stranger"} and set(heard["naked"]) <= {b"naked"}
 
@@ -125,7 +125,7 @@ print("listening", flush=True)
 sys.stdin.read()
 radio.close()
 """
-"""A process that prints what it hears until its input ends."""
+"""Program that prints received messages until its input ends."""
 
 SPEAKER = """
 import json, select, sys, time
@@ -145,14 +145,14 @@ while not select.select([sys.stdin], [], [], 0.1)[0]:  # until its input ends
     radio.publish("skyherd/t/heartbeat/" + sys.argv[3], sys.argv[3].encode())
 radio.close()
 """
-"""A process that speaks, and prints whom it hears when there are three."""
+"""Program that publishes its name, and prints the received names once there are three."""
 
 LISTEN_STATE = "0A"
 """State of a listening socket in /proc/net/tcp. Defined by Linux."""
 
 
 def listening_ports(pid: int) -> set[int]:
-    """TCP ports on which a process listens."""
+    """Return the TCP ports on which a process listens."""
     links = []
     for descriptor in Path(f"/proc/{pid}/fd").iterdir():
         try:
@@ -169,7 +169,7 @@ def listening_ports(pid: int) -> set[int]:
 
 
 def deliver_without_certificate(ports: set[int], authority: Path) -> None:
-    """Try for 3 s to send to all ports, in plain text and by TLS without a certificate of one's own."""
+    """Try for 3 s to send to all ports, in plain text and by TLS without a client certificate."""
     import zenoh
 
     sessions = []
@@ -230,7 +230,7 @@ def test_client_without_certificate_delivers_on_no_port(folder, listens, certifi
 
 
 @pytest.mark.slow
-def test_three_tls_processes_share_one_port_and_hear_each_other(folder) -> None:
+def test_three_tls_processes_share_one_port(folder) -> None:
     pytest.importorskip("zenoh")
     place = f"tls/127.0.0.1:{free_port()}"
     places = json.dumps({"listen": [place], "connect": [place], **FILES})
@@ -262,7 +262,7 @@ def test_three_tls_processes_share_one_port_and_hear_each_other(folder) -> None:
         ),
     ],
 )
-def test_plain_place_beside_certificates_is_refused(tmp_path, places, words) -> None:
+def test_plain_address_with_certificates_is_refused(tmp_path, places, words) -> None:
     from skyherd.live.zenoh_radio import ZenohRadio
 
     with pytest.raises(InputError, match=words):

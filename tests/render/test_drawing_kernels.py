@@ -1,4 +1,4 @@
-"""The compiled loops that draw shapes give what the formulas give row by row in double precision."""
+"""Compiled drawing kernels against the formulas in double precision (`drawing_reference`)."""
 
 import numpy as np
 import pytest
@@ -12,14 +12,14 @@ from skyherd.render.view import View
 
 SIZE_PX = (96, 72)
 LEVELS = 200.0
-"""Grey levels between the darkest and the lightest cell that is drawn here."""
+"""Difference between the darkest and the lightest cell of these tests, grey levels."""
 
 ENTRY = LEVELS / np.sqrt(2 * np.pi) / PER_SIGMA
-"""By how much a level may differ where rounding gives a neighbouring entry of the edge table, or where it
-decides whether a line at `FELT` counts, which makes less."""
+"""Largest difference of a level if rounding selects a neighbouring entry of the edge table. A line at `FELT`,
+included or not by rounding, contributes less."""
 
 ROUNDING = 1e-3
-"""Rounding of light and table in single precision: 1e-7 of some hundred levels, some tens of times."""
+"""Rounding of light and table in single precision: 1e-7 of some hundred levels, in some tens of sums."""
 
 LENSES = {
     "pinhole": {},
@@ -39,7 +39,7 @@ def view(lens: str, tilt: float, rolling: bool) -> View:
 
 
 def shapes(count: int, size: float, rng: np.random.Generator) -> np.ndarray:
-    """Maps (N, 3, 3) from shapes of extent 1 around the origin to the ground, some beyond the view's rim."""
+    """Return maps (N, 3, 3) from shapes of extent 1 around the origin to the ground, some out of view."""
     turn = rng.uniform(0, 2 * np.pi, count)
     scale, (x, y) = size * rng.uniform(0.6, 1.4, count), rng.uniform(-1.4, 1.4, (2, count))
     maps = np.zeros((count, 3, 3))
@@ -54,7 +54,7 @@ def canvas(kind: type, rng: np.random.Generator) -> np.ndarray:
 
 
 def assert_equal_to_rounding(drawn: np.ndarray, exact: np.ndarray) -> None:
-    """Whole levels may be rounded to either side; light may differ by a table's entry, at few pixels."""
+    """Assert equality up to rounding: one level of 8 bits, or one table entry of light, at few pixels."""
     off = np.abs(drawn.astype(float) - exact)
     if drawn.dtype == np.uint8:
         assert off.max() <= 1
@@ -81,7 +81,7 @@ CASES = pytest.mark.parametrize(
 
 @CASES
 @pytest.mark.parametrize("cells", [1, 8])
-def test_grids_of_cells_are_those_of_the_formula(lens, tilt, rolling, psf_px, kind, cells):
+def test_grid_kernel_matches_the_formula(lens, tilt, rolling, psf_px, kind, cells):
     rng = np.random.default_rng(5)
     levels = rng.choice([30.0, 230.0], (7, cells, cells))
     ground = shapes(7, 0.7, rng) @ [[1 / cells, 0, -0.5], [0, 1 / cells, -0.5], [0, 0, 1]]
@@ -95,7 +95,7 @@ def test_grids_of_cells_are_those_of_the_formula(lens, tilt, rolling, psf_px, ki
 
 
 @CASES
-def test_discs_are_those_of_the_formula(lens, tilt, rolling, psf_px, kind):
+def test_disc_kernel_matches_the_formula(lens, tilt, rolling, psf_px, kind):
     rng = np.random.default_rng(6)
     ground, levels = shapes(5, 0.4, rng), rng.uniform(30, 230, 5)
     images, spread = view(lens, tilt, rolling).images(lambda _: ground), edge_spread(psf_px)
@@ -107,8 +107,8 @@ def test_discs_are_those_of_the_formula(lens, tilt, rolling, psf_px, kind):
     assert_equal_to_rounding(drawn, exact)
 
 
-def test_what_lies_beyond_reach_of_a_line_is_its_cell_s_own_level():
-    """In the middle of a cell that is wider than twice `FELT` σ a pixel has exactly the cell's level."""
+def test_pixel_far_from_lines_has_its_cell_level():
+    """At the centre of a cell wider than twice `FELT` σ a pixel has exactly the cell's level."""
     levels = np.array([[[30.0, 230.0], [230.0, 30.0]]])
     ground = np.array([[[1.0, 0, -1], [0, 1.0, -1], [0, 0, 1]]])
     images, spread = (
@@ -129,7 +129,7 @@ def test_what_lies_beyond_reach_of_a_line_is_its_cell_s_own_level():
 
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("psf_px", [0.3, 0.8])
-def test_light_stays_so_near_to_the_cells_levels_that_rounding_keeps_it_within_8_bits(lens, psf_px):
+def test_light_rounds_to_8_bits_without_clipping(lens, psf_px):
     rng = np.random.default_rng(3)
     ground = shapes(30, 0.3, rng) @ [[1 / 8, 0, -0.5], [0, 1 / 8, -0.5], [0, 0, 1]]
     drawn = np.full(SIZE_PX[::-1], 255, np.float32)

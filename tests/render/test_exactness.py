@@ -1,8 +1,8 @@
-"""Markers as drawn against an exact reference that shares no code with the renderer.
+"""Rendered markers against an exact reference that shares no code with the renderer.
 
-The bounds are the project's: 0.5 grey levels at the worst pixel, 0.1 RMS over the cards' pixels, and 0.001 px
-of bias for a perfect fit. Where the error comes from: nearest entries of the edge table (0.08 an edge), lines
-beyond 3.4 σ left out (0.07), corners by a midpoint rule (0.1 at ρ = 0.3).
+Bounds: 0.5 grey levels at the worst pixel, 0.1 RMS over the cards' pixels, and 0.001 px bias of a perfect
+fit. Sources of error, in grey levels: nearest entries of the edge table (0.08 per edge), omitted lines beyond
+3.4 σ (0.07), and the midpoint rule at corners (0.1 at ρ = 0.3).
 """
 
 from dataclasses import replace
@@ -39,7 +39,7 @@ def make_renderer(psf_px: float = 0.8) -> Renderer:
 def team(
     side_px: float, headings: np.ndarray, seed: int
 ) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
-    """A camera of focal length 500 px, and ids, positions and headings of markers in two rows before it."""
+    """Return a camera of focal length 500 px, and ids, positions and headings of markers in two rows."""
     rng = np.random.default_rng(seed)
     pitch = 2.1 * side_px + 12
     columns = (len(headings) + 1) // 2
@@ -52,7 +52,7 @@ def team(
 
 
 def tilted(side_px: float, tilt_deg: float, about_deg: float) -> CameraPose:
-    """The origin in the middle of the image, sides of `side_px` or so there, a focal length of 500 px."""
+    """Return a pose with the origin at the image centre and sides of about `side_px`, for f = 500 px."""
     height = 500.0 / side_px
     tilt_u, tilt_v = np.radians(tilt_deg) * np.cos(np.radians([about_deg, about_deg - 90]))
     pose = CameraPose((0.0, 0.0), height, 0.0, (tilt_u, tilt_v))
@@ -61,7 +61,7 @@ def tilted(side_px: float, tilt_deg: float, about_deg: float) -> CameraPose:
 
 
 def compare(light: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
-    """Largest difference, and RMS over the pixels that any card reaches."""
+    """Return the largest difference, and the RMS over the pixels of cards."""
     difference = light - exact
     return float(np.abs(difference).max()), float(
         np.sqrt((difference[np.abs(exact - GROUND) > 0.01] ** 2).mean())
@@ -72,8 +72,8 @@ def compare(light: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.3, 2.2])
-def test_the_reference_is_the_separable_card_where_nothing_is_tilted(heading):
-    """There a card is a product of error functions along its sides, gathered over 8 x 8 points a pixel."""
+def test_reference_matches_the_separable_card_without_tilt(heading):
+    """Without tilt a card is a product of error functions along its sides, here at 8 x 8 points per pixel."""
     u, v, side, psf = 40.2, 39.7, 28.0, 0.5
     turn = side * np.array([np.cos(heading), np.sin(heading)])
     image_marker = np.array([[turn[0], turn[1], u], [turn[1], -turn[0], v], [0, 0, 1]])
@@ -95,15 +95,15 @@ def test_the_reference_is_the_separable_card_where_nothing_is_tilted(heading):
 
 
 def slanted(side: float) -> np.ndarray:
-    """A homography (3, 3) that no similarity is near."""
+    """Return a homography (3, 3) far from any similarity."""
     return np.array([[side, 0.3 * side, 40.3], [0.2 * side, -0.8 * side, 39.6], [0.1, 0.15, 1.0]])
 
 
-def test_the_reference_agrees_with_counting_points_under_any_homography():
-    """33 x 33 points a pixel, each of its cell's level, under a sampled aperture.
+def test_reference_matches_supersampling_under_a_homography():
+    """Supersample with 33 x 33 points per pixel.
 
-    An edge is known to half a point, 1/66 px: 200 / (sqrt(2 pi) 0.8) / 66 = 1.5 grey levels at worst, better
-    by the root of the number of points along it: 0.15 in the mean square.
+    The error of an edge is half a point, 1/66 px: 200 / (sqrt(2 pi) 0.8) / 66 = 1.5 grey levels at most. The
+    RMS is smaller by the root of the number of points along the edge: 0.15.
     """
     fine, psf = 33, 0.8
     line = (np.arange(80 * fine) + 0.5) / fine - 0.5
@@ -120,7 +120,7 @@ def test_the_reference_agrees_with_counting_points_under_any_homography():
     assert np.sqrt((difference**2).mean()) < 0.15
 
 
-def test_the_reference_has_converged():
+def test_reference_has_converged():
     args = DICTIONARY, np.array([3]), slanted(25.0)[None], (80, 80)
     coarse, fine = (
         reference_light(*args, psf_px=0.5, piece_px=p, nodes=n) for p, n in ((PIECE_PX, NODES), (0.2, 8))
@@ -138,7 +138,7 @@ LIGHT = [
     pytest.param(*each, marks=pytest.mark.slow if each in LARGE else ())
     for each in product(SIDES, (0.5, 0.8, 1.5), (0.0, 20.0))
 ]
-"""Sides, blurs and tilts; of the large ones, which take most time, the sharpest tilted and the softest."""
+"""Sides, blurs and tilts; the large ones, which take the most time, are marked slow."""
 
 
 def check_exact(side: float, psf: float, tilt: float) -> None:
@@ -153,7 +153,7 @@ def check_exact(side: float, psf: float, tilt: float) -> None:
 
 
 @pytest.mark.parametrize(("side", "psf", "tilt"), LIGHT)
-def test_light_is_right(side, psf, tilt):
+def test_light_matches_the_reference(side, psf, tilt):
     check_exact(side, psf, tilt)
 
 
@@ -161,13 +161,13 @@ def test_light_is_right(side, psf, tilt):
 @pytest.mark.parametrize("tilt", [0.0, 5.0, 10.0, 15.0, 20.0])
 @pytest.mark.parametrize("psf", [0.5, 0.65, 0.8, 1.0, 1.25, 1.5])
 @pytest.mark.parametrize("side", [10.0, 11.0, 12.0, 14.0, 16.0, 20.0, 24.0, 30.0, 40.0, 60.0, 80.0, 120.0])
-def test_light_is_right_at_every_size_blur_and_tilt(side, psf, tilt):
+def test_light_matches_at_every_size_blur_and_tilt(side, psf, tilt):
     check_exact(side, psf, tilt)
 
 
 @pytest.mark.smoke
-def test_a_blur_wrong_by_a_hundredth_would_be_noticed():
-    """200 levels, 0.24 of them a σ at the steepest bend: 1 % is 0.5 grey. The check above can fail."""
+def test_reference_detects_a_wrong_blur():
+    """Negative control: the light changes by up to 0.24 of 200 levels per σ, so that 1 % of blur is 0.5."""
     camera, ids, positions, headings = team(30.0, HEADINGS, 1)
     pose = tilted(30.0, 0.0, 0.0)
     truth = make_renderer().truth(Shot(camera, pose, ids, positions, headings))
@@ -191,10 +191,10 @@ MOVES[2, 1, 0], MOVES[2, 0, 1], MOVES[3, 0, 0], MOVES[3, 1, 1] = 1.0, -1.0, 1.0,
         *(pytest.param(*each, marks=pytest.mark.slow) for each in ((33, 0.5, 20), (60, 0.8, 15))),
     ],
 )
-def test_a_perfect_fit_has_no_bias(side, psf, tilt):
-    """One Gauss-Newton step of the exact image from the true pose: u, v, heading, scale, as a fit would end.
+def test_perfect_fit_has_no_bias(side, psf, tilt):
+    """Take one Gauss-Newton step in u, v, heading and scale from the true pose.
 
-    Errors are a hundredth of a pixel and less, so that the step is the fit's bias to second order.
+    Errors are at most 0.01 px, so that the step is the fit's bias to second order.
     """
     camera, ids, positions, headings = team(float(side), HEADINGS, side)
     pose, renderer = tilted(float(side), tilt, -70.0), make_renderer(psf)
@@ -202,7 +202,7 @@ def test_a_perfect_fit_has_no_bias(side, psf, tilt):
     light = renderer.light(Shot(camera, pose, ids, positions, headings))
 
     def exact(image_marker: np.ndarray, index: int) -> np.ndarray:
-        # A frame of one marker: the others' pixels do not depend on its pose.
+        # One marker suffices: the pixels of the others do not depend on its pose.
         return reference_light(
             DICTIONARY, ids[index : index + 1], image_marker[None], camera.size_px, psf_px=psf
         )
@@ -229,8 +229,8 @@ def test_a_perfect_fit_has_no_bias(side, psf, tilt):
         assert abs(bias[2]) * side / 2 < 0.001, "the turn at the marker's edge, px"
 
 
-def test_a_lens_is_drawn_through_as_opencv_has_it():
-    """The reference's edges bent by `cv2.projectPoints`; worst pixel as without a lens."""
+def test_lens_image_matches_opencv():
+    """`cv2.projectPoints` distorts the reference's edges. The bounds are those without a lens."""
     camera = Camera((420, 320), 300.0, (215.0, 150.0), aspect=1.05, distortion=LENS)
     rng = np.random.default_rng(3)
     pose = CameraPose((0.1, -0.2), 12.0, 0.4, (0.15, -0.1))
@@ -261,8 +261,8 @@ def test_a_lens_is_drawn_through_as_opencv_has_it():
     assert np.abs(truth.centers_px - centers).max() > 5, "the lens moves markers by pixels"
 
 
-def test_markers_cut_by_the_border_are_the_whole_ones_cut():
-    """The same scene in a larger image, whose principal point is moved as far: nothing else differs."""
+def test_border_crops_markers_without_other_change():
+    """Compare with the same scene in a larger image with a shifted principal point."""
     rng = np.random.default_rng(4)
     ids, positions, headings = np.arange(12), rng.uniform(-3, 3, (12, 2)) * 1.4, rng.uniform(-3, 3, 12)
     pose, renderer = CameraPose((0.0, 0.0), 10.0, 0.3, (0.1, 0.1)), make_renderer()
@@ -277,7 +277,7 @@ def test_markers_cut_by_the_border_are_the_whole_ones_cut():
     assert cut.sum() >= 3, "the test has cut markers"
 
 
-def test_later_markers_lie_over_earlier_ones():
+def test_later_markers_cover_earlier_ones():
     ids, headings = np.array([4, 9]), np.array([0.4, 1.5])
     positions = np.array([[0.0, 0.0], [0.5, 0.3]])
     camera, pose, renderer = Camera((120, 120), 400.0), CameraPose((0.0, 0.0), 10.0), make_renderer()
@@ -289,7 +289,7 @@ def test_later_markers_lie_over_earlier_ones():
 
 
 @pytest.mark.smoke
-def test_white_and_black_are_the_markers_levels():
+def test_white_and_black_have_the_marker_levels():
     pose, place = CameraPose((0.0, 0.0), 10.0, 0.2), np.array([[0.1, 0.0]])
     light = make_renderer().light(
         Shot(Camera((200, 160), 1200.0), pose, np.array([5]), place, np.array([0.3]))

@@ -1,4 +1,4 @@
-"""The ground: in its place, band-limited, and with what lies on it."""
+"""Ground: position, band limit, lens, rolling shutter and clutter."""
 
 from functools import lru_cache
 
@@ -23,10 +23,11 @@ from skyherd.render import (
 from skyherd.render import ground as ground_module
 
 
-def test_the_ground_stays_put_under_a_moving_camera() -> None:
-    """Texture is tied to the world: a camera that moves by whole pixels shifts the picture by as many.
+def test_ground_is_fixed_under_a_moving_camera() -> None:
+    """A camera motion of whole pixels shifts the image by the same number of pixels.
 
-    Bilinear sampling at the same sub-sample phase gives the same value; half a grey level of rounding a side.
+    Bilinear sampling at the same sub-sample phase gives the same value. Each image is rounded by at most half
+    a grey level.
     """
     ground = Ground(3, contrast=20.0)
     camera = Camera((300, 300), 320.0)  # 40 px/m at 8 m
@@ -43,8 +44,8 @@ def seen(ground: Ground, camera: Camera, pose: CameraPose) -> np.ndarray:
     return ground.draw(homography_image_ground(camera, pose), camera.size_px).astype(float)
 
 
-def test_a_picture_lies_as_it_is_seen_from_above():
-    """North at the top, east at the right; 8 m wide and, being twice as wide as high, 4 m high."""
+def test_ground_picture_has_north_at_its_top():
+    """North is at the top and east at the right. The picture is 8 m wide and 4 m high."""
     picture = np.full((100, 200), 60, np.uint8)
     picture[:50, 100:], picture[50:, 100:] = 200, 120
     ground = Ground(0, kind="image", image=picture, tile_m=8.0)
@@ -56,8 +57,8 @@ def test_a_picture_lies_as_it_is_seen_from_above():
         np.testing.assert_allclose(part, 60, atol=2)
 
 
-def test_tiles_have_joints_where_they_should():
-    """Tiles of 0.5 m at 100 px/m: a joint every 50 px, its middle 0.7 px into a tile, the darkest."""
+def test_tile_joints_have_the_tile_period():
+    """Tiles of 0.5 m at 100 px/m have a joint every 50 px, 0.7 px inside a tile."""
     ground = Ground(1, kind="tiles", tile_m=0.5, contrast=10.0)
     row = seen(ground, Camera((420, 40), 100.0), CameraPose((2.0, 0.25), 1.0)).mean(axis=0)
     depth = np.minimum(row[:-16], row[16:]) - row[8:-8]
@@ -68,7 +69,7 @@ def test_tiles_have_joints_where_they_should():
 
 @pytest.mark.parametrize("kind", ["concrete", "tiles"])
 def test_far_ground_is_grey_and_does_not_alias(kind):
-    """Seen so small that a period is a few pixels, only its mean is left: noise under a grey level."""
+    """At a period of a few pixels only the mean of the texture remains."""
     ground = Ground(1, kind=kind, tile_m=1.0, contrast=20.0)
     period_m = ground.period_m[0]
     image = seen(ground, Camera((200, 200), 6.0 / period_m), CameraPose((0.3, 0.1), 1.0))
@@ -78,7 +79,7 @@ def test_far_ground_is_grey_and_does_not_alias(kind):
     assert image.mean() == pytest.approx(near.mean(), abs=8)
 
 
-def test_a_camera_that_stands_still_sees_the_same_ground_and_may_draw_on_it():
+def test_cached_ground_is_not_changed_by_drawing():
     ground, camera, pose = Ground(2), Camera((100, 80), 50.0), CameraPose((0.0, 0.0), 2.0)
     first = seen(ground, camera, pose)
     for _ in range(3):
@@ -87,8 +88,8 @@ def test_a_camera_that_stands_still_sees_the_same_ground_and_may_draw_on_it():
         drawn[:] = 0
 
 
-def test_ground_through_a_lens_is_where_the_lens_puts_it():
-    """Grey levels at pixels against those of the plain image at the undistorted places; 2: two roundings."""
+def test_ground_is_distorted_by_the_lens():
+    """Grey levels equal those of the undistorted image at the corresponding points."""
     lens = Distortion(k1=-0.2, p1=0.003)
     ground = Ground(3, contrast=15.0)
     plain, bent = Camera((240, 200), 200.0), Camera((240, 200), 200.0, distortion=lens)
@@ -108,7 +109,7 @@ def test_ground_through_a_lens_is_where_the_lens_puts_it():
 
 
 def footprint_points(camera: Camera, pose: CameraPose, pixels: np.ndarray) -> np.ndarray:
-    """Ground points (N, 2) under pixels (N, 2)."""
+    """Return the ground points (N, 2) at pixels (N, 2)."""
     mapped = (
         np.column_stack([pixels, np.ones(len(pixels))])
         @ np.linalg.inv(homography_image_ground(camera, pose)).T
@@ -124,8 +125,8 @@ def bilinear(image: np.ndarray, at: np.ndarray) -> np.ndarray:
     return upper * (1 - dv) + lower * dv
 
 
-def test_rolling_rows_of_the_ground_are_of_their_own_instant():
-    """1: two roundings of the texture's grey level; both are interpolated between the same samples."""
+def test_rolling_ground_rows_have_their_own_times():
+    """The tolerance of 1 allows for the rounding of both images, which interpolate the same samples."""
     camera, pose, ground = (
         Camera((160, 120), 150.0),
         CameraPose((0.1, 0.0), 5.0, 0.3),
@@ -147,8 +148,8 @@ def test_rolling_rows_of_the_ground_are_of_their_own_instant():
         np.testing.assert_allclose(rolling[v], still[v], atol=1)
 
 
-def test_clutter_is_dark_quads_as_many_as_asked_for_and_fixed_to_the_ground():
-    """Count: Poisson-like, sigma 12 of 150. Places: the same quads from another pose, where they overlap."""
+def test_clutter_has_its_density_and_is_fixed_to_the_ground():
+    """The count is about Poisson (σ 12 of 150). A larger box contains all quads of a smaller one."""
     clutter = Clutter(7, density_per_m2=150 / 400, side_m=(0.4, 0.9))
     box = np.zeros(2), np.full(2, 20.0)
     counts = []
@@ -173,7 +174,7 @@ def test_clutter_is_dark_quads_as_many_as_asked_for_and_fixed_to_the_ground():
     assert 0.05 < (dark < 70).mean() < 0.5
 
 
-def test_what_is_wrong_with_a_ground_is_said():
+def test_invalid_ground_is_refused():
     with pytest.raises(InputError, match="kind 'sand'"):
         Ground(0, kind="sand")
     with pytest.raises(InputError, match="image"):
@@ -184,7 +185,7 @@ def test_what_is_wrong_with_a_ground_is_said():
         Clutter(0, 0, (1, 2))
 
 
-def test_concrete_is_made_once_for_each_seed_mean_and_contrast(monkeypatch) -> None:
+def test_concrete_is_cached_by_seed_mean_and_contrast(monkeypatch) -> None:
     made = []
 
     def concrete(*asked: float) -> np.ndarray:

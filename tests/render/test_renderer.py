@@ -1,4 +1,4 @@
-"""Cameras in their frames, and the renderer as a whole; tests/render/test_exactness.py has the pixels."""
+"""Camera conventions, and the renderer as a whole; tests/render/test_exactness.py checks the pixels."""
 
 import cv2
 import numpy as np
@@ -24,7 +24,7 @@ IMAGE_PX = 120
 
 
 def cells_of(marker_id: int) -> np.ndarray:
-    """Grey levels (8, 8) of marker and card, from OpenCV's own drawing."""
+    """Return the grey levels (8, 8) of marker and card, as drawn by OpenCV."""
     marker = cv2.aruco.generateImageMarker(
         cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), marker_id, 60
     )
@@ -39,23 +39,23 @@ def flat_renderer(noise: float = 0.0, seed: int = 0) -> Renderer:
 FLAT = Ground(0, mean=GROUND, contrast=0.0)
 
 
-# --- cameras: the frames of ARCHITECTURE.md ---
+# --- cameras: conventions of ARCHITECTURE.md ---
 
 
 @pytest.mark.smoke
-def test_the_image_is_what_one_sees_looking_down() -> None:
-    """At yaw 0 +u is east (+x), +v is south (-y): north is up in the image, and it is not mirrored."""
+def test_image_is_the_view_from_above() -> None:
+    """At yaw 0 +u is east (+x) and +v is south (-y). North is up, and the image is not mirrored."""
     camera = Camera((640, 480), focal_px=500.0)
     pose = CameraPose((2.0, 3.0), 10.0)
     here, east, south = project(camera, pose, [[2, 3], [3, 3], [2, 2]])
-    np.testing.assert_allclose(here, [319.5, 239.5], atol=1e-12)  # an integer is a pixel's centre
+    np.testing.assert_allclose(here, [319.5, 239.5], atol=1e-12)  # Integers are pixel centres.
     np.testing.assert_allclose(east - here, [50, 0], atol=1e-12)
     np.testing.assert_allclose(south - here, [0, 50], atol=1e-12)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4, 2.0, -3.0])
-def test_plus_u_lies_at_yaw_on_the_ground(yaw) -> None:
-    """p = c + (f / h) conj((x - x_camera) e^{-i yaw}), by definition, at any zoom and principal point."""
+def test_u_axis_has_the_yaw_on_the_ground(yaw) -> None:
+    """p = c + (f / h) conj((x - x_camera) e^{-i yaw}), at any zoom and principal point."""
     rng = np.random.default_rng(5)
     camera = Camera((640, 480), focal_px=321.0, principal_point_px=(300.25, 251.5))
     pose = CameraPose((-1.5, 4.0), 7.0, yaw, zoom=1.7)
@@ -66,8 +66,8 @@ def test_plus_u_lies_at_yaw_on_the_ground(yaw) -> None:
     np.testing.assert_allclose(image[:, 0] + 1j * image[:, 1], expected, rtol=0, atol=1e-10)
 
 
-def test_only_a_mirrored_camera_turns_the_scene_over() -> None:
-    """Ground to image reverses orientation in numbers (v is down), mirrored it does not; a flip undoes it."""
+def test_only_a_mirrored_camera_reverses_orientation() -> None:
+    """The map from ground to image has a negative determinant, and a positive one if mirrored."""
     pose = CameraPose((0.0, 0.0), 5.0, 0.3)
     plain, mirrored = Camera((100, 80), 90.0), Camera((100, 80), 90.0, mirrored=True)
     assert np.linalg.det(homography_image_ground(plain, pose)[:2, :2]) < 0
@@ -77,7 +77,7 @@ def test_only_a_mirrored_camera_turns_the_scene_over() -> None:
     np.testing.assert_allclose(there, here * [-1, 1] + [99, 0], atol=1e-12)
 
 
-def test_a_mirrored_camera_renders_the_flipped_image() -> None:
+def test_mirrored_camera_renders_the_flipped_image() -> None:
     ids, positions, headings = np.array([3, 8]), np.array([[-0.5, 0.4], [1.0, -0.2]]), np.array([0.3, -2.0])
     pose = CameraPose((0.1, 0.0), 5.0, 0.3)
     image, flipped = (
@@ -90,7 +90,7 @@ def test_a_mirrored_camera_renders_the_flipped_image() -> None:
     assert image.std() > 10
 
 
-def test_aspect_stretches_v_alone() -> None:
+def test_aspect_scales_only_v() -> None:
     pose = CameraPose((0.0, 0.0), 5.0, 0.3)
     points = np.random.default_rng(6).uniform(-2, 2, (9, 2))
     center = np.array([49.5, 39.5])
@@ -99,7 +99,7 @@ def test_aspect_stretches_v_alone() -> None:
     np.testing.assert_allclose(wide, square * [1, 1.25], rtol=0, atol=1e-12)
 
 
-def test_footprint_is_what_projects_to_the_images_border() -> None:
+def test_footprint_projects_to_the_image_corners() -> None:
     camera = Camera((640, 480), 500.0, (300.0, 260.0))
     pose = CameraPose((2.0, 3.0), 10.0, 0.7, (0.1, -0.05), 1.2)
     corners = project(camera, pose, footprint_m(camera, pose))
@@ -108,8 +108,8 @@ def test_footprint_is_what_projects_to_the_images_border() -> None:
 
 
 @pytest.mark.smoke
-def test_the_marker_faces_where_the_robot_does() -> None:
-    """Robot at heading +90 deg (north) under a camera at yaw 0: its pattern stands upright in the image."""
+def test_marker_faces_the_heading() -> None:
+    """A robot at heading 90 deg (north) under a camera at yaw 0 has an upright pattern in the image."""
     camera = Camera((IMAGE_PX, IMAGE_PX), 60.0)
     image = flat_renderer().render(
         Shot(camera, CameraPose((0, 0), 1.0), np.array([11]), np.zeros((1, 2)), np.array([np.pi / 2]))
@@ -119,8 +119,8 @@ def test_the_marker_faces_where_the_robot_does() -> None:
     np.testing.assert_allclose(image[rows, columns], cells_of(11), atol=1)
 
 
-def test_the_quiet_zone_is_white_all_round() -> None:
-    """A ring of one cell, 10 px wide here: its middle, 5 px outside the black square, is white."""
+def test_quiet_zone_is_white_on_all_sides() -> None:
+    """The ring of one cell is 10 px wide. Its middle, 5 px outside the black square, is white."""
     camera = Camera((IMAGE_PX, IMAGE_PX), 60.0)
     image = flat_renderer().render(
         Shot(camera, CameraPose((0, 0), 1.0), np.array([11]), np.zeros((1, 2)), np.array([0.0]))
@@ -133,8 +133,8 @@ def test_the_quiet_zone_is_white_all_round() -> None:
 
 
 @pytest.mark.parametrize(("offset", "whole"), [(-0.01, False), (0.01, True)])
-def test_a_marker_is_whole_when_its_card_is(offset, whole) -> None:
-    """The card's edge on the image's border, -0.5 px: a hundredth of a pixel further in, and it is whole."""
+def test_marker_is_whole_if_its_card_is_in_the_image(offset, whole) -> None:
+    """The card's edge is 0.01 px outside or inside the image border at -0.5 px."""
     side = 30.0
     camera = Camera((200, 200), side, (0.0, 0.0))
     at = np.array([[-0.5 + side * (8 / 6) / 2 + offset, -100.0]]) / side
@@ -142,8 +142,8 @@ def test_a_marker_is_whole_when_its_card_is(offset, whole) -> None:
     assert seen.whole.tolist() == [whole]
 
 
-def test_tilt_is_a_turn_about_the_cameras_own_axes() -> None:
-    """Straight down lies at v = -f tan(tilt_u), u = +f tan(tilt_v): the scene turns with the sign of tilt."""
+def test_tilt_rotates_about_the_camera_axes() -> None:
+    """The point below the camera is at v = -f tan(tilt_u) and u = f tan(tilt_v)."""
     camera = Camera((640, 480), 500.0, (0.0, 0.0))
     for yaw in (0.0, 1.0):
         about_u = project(camera, CameraPose((2.0, 3.0), 10.0, yaw, (0.1, 0.0)), [2.0, 3.0])
@@ -160,15 +160,15 @@ def scene(seed: int, ground: Ground) -> np.ndarray:
     )
 
 
-def test_pixels_come_from_the_seeds() -> None:
+def test_pixels_depend_on_the_seeds_only() -> None:
     one, again, other = Ground(1), Ground(1), Ground(2)
     np.testing.assert_array_equal(scene(1, one), scene(1, again))
     assert not np.array_equal(scene(1, one), scene(2, one)), "the sensor's seed"
     assert not np.array_equal(scene(1, one), scene(1, other)), "the ground's seed"
 
 
-def test_a_camera_that_looks_away_from_the_origin_sees_what_is_before_it() -> None:
-    """Tilted by 60 deg, with the ground's origin behind it: the same image as with the whole world moved."""
+def test_origin_behind_the_camera_does_not_change_the_image() -> None:
+    """The camera is tilted by 60 deg. The image equals that of the whole scene moved along the ground."""
     camera, tilt = Camera((120, 120), 300.0), (np.radians(60.0), 0.0)
     ahead = np.array([[0.0, -10.0 * np.tan(tilt[0])]])
     images = []

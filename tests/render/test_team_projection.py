@@ -1,4 +1,4 @@
-"""A team in many cameras' images at once: the same as one camera at a time, however few are projected."""
+"""Projection of a team into many cameras, against one camera at a time."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ LENS = Distortion(k1=-0.25, k2=0.08, k3=-0.01, p1=0.002, p2=-0.001)
 
 
 def draw_view(rng: np.random.Generator, tilt_rad: float, lens: Distortion) -> tuple[Camera, CameraPose]:
-    """Any camera: oblong pixels and images, an optical axis off the middle, skew, mirror, zoom."""
+    """Return a random camera and pose, with aspect, skew, principal point, mirroring and zoom."""
     width, height = rng.integers(200, 900, 2)
     camera = Camera(
         (int(width), int(height)),
@@ -40,11 +40,10 @@ def draw_team(rng: np.random.Generator, count: int = 300) -> tuple[np.ndarray, n
 @pytest.mark.parametrize("lens", [Distortion(), LENS], ids=["pinhole", "lens"])
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.3, 1.3], ids=["straight down", "tilted", "horizon in view"])
 @pytest.mark.parametrize("seed", range(4))
-def test_each_camera_sees_what_it_would_see_alone(seed, tilt_rad, lens) -> None:
-    """To rounding: the culled markers are out of view, the others go through the same sums.
+def test_team_projection_matches_project_markers(seed, tilt_rad, lens) -> None:
+    """The culled markers are out of view, and the others have equal points up to rounding.
 
-    Sums over arrays of other lengths may differ in the last bit, 1e-13 of a coordinate of 1e3 px, on some
-    processors.
+    On some processors, sums over arrays of other lengths differ in the last bit: 1e-13 of 1e3 px.
     """
     rng = np.random.default_rng(seed)
     views = [draw_view(rng, tilt_rad, lens) for _ in range(8)]
@@ -60,8 +59,8 @@ def test_each_camera_sees_what_it_would_see_alone(seed, tilt_rad, lens) -> None:
     assert seen > 20, "the comparison is of something"
 
 
-def test_only_what_is_near_is_projected() -> None:
-    """Of a team spread over 60 m few robots are near a footprint of some 8 m, and all that are in view."""
+def test_only_markers_near_a_footprint_are_projected() -> None:
+    """Few robots of a team spread over 60 m are near a footprint of about 8 m."""
     rng = np.random.default_rng(1)
     views = [draw_view(rng, 0.0, Distortion()) for _ in range(8)]
     positions, _ = draw_team(rng)
@@ -69,7 +68,7 @@ def test_only_what_is_near_is_projected() -> None:
     assert 0 < team_module._near(views, matrices, positions).mean() < 0.2
 
 
-def test_without_a_camera_or_a_robot_there_is_no_image_of_any() -> None:
+def test_projection_without_cameras_or_robots_is_empty() -> None:
     assert list(project_team([], *draw_team(np.random.default_rng(0)), SIDE_M, CARD_M)) == []
     (image,) = project_team(
         [(Camera((100, 100), 100.0), CameraPose((0, 0), 5.0))], np.zeros((0, 2)), np.zeros(0), SIDE_M, CARD_M

@@ -1,4 +1,4 @@
-"""What covers markers, what moves them while the image is taken, and the truth about them."""
+"""Occluders, motion during the exposure, and ground truth."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from skyherd.render import (
 
 DICTIONARY, GROUND = "4X4_50", 128.0
 WORST = 0.5
-"""Grey levels: the bound of tests/render/test_exactness.py, which keeps to half of it."""
+"""Largest difference, grey levels: the bound of tests/render/test_exactness.py."""
 
 LENS = Distortion(k1=-0.25, k2=0.08, k3=-0.01, p1=0.002, p2=-0.001)
 INSTANT = Shutter()
@@ -39,7 +39,7 @@ def make_renderer(shutter: Shutter = INSTANT, **sensor) -> Renderer:
     )
 
 
-# --- what lies over markers ---
+# --- occluders ---
 
 
 def scene() -> tuple[Camera, CameraPose, np.ndarray, np.ndarray, np.ndarray]:
@@ -47,8 +47,8 @@ def scene() -> tuple[Camera, CameraPose, np.ndarray, np.ndarray, np.ndarray]:
     return camera, CameraPose((0.0, 0.0), 10.0, 0.2), np.array([5]), np.array([[0.1, 0.0]]), np.array([0.3])
 
 
-def test_a_quad_is_opaque_and_blurred_as_everything_is():
-    """A rectangle of one level, against the reference's polygon, over the marker."""
+def test_quad_is_opaque_and_blurred():
+    """Compare a uniform rectangle over the marker with the reference's polygon."""
     camera, pose, ids, positions, headings = scene()
     corners = np.array([[0.0, -0.4], [0.9, -0.4], [0.9, 0.5], [0.0, 0.5]])
     renderer = make_renderer()
@@ -64,8 +64,8 @@ def test_a_quad_is_opaque_and_blurred_as_everything_is():
     np.testing.assert_allclose(light, 70.0 * cover + (1 - cover) * bare, atol=WORST)
 
 
-def test_a_disc_covers_its_area():
-    """Light missing over plain ground is the disc's area, to 0.1 %: that of `(σ / R)⁴ / 4` is far less."""
+def test_disc_covers_its_area():
+    """The missing light over plain ground is the disc's area to 0.1 %, far above `(σ / R)⁴ / 4`."""
     camera, pose, ids, positions, headings = scene()
     light = make_renderer().light(
         Shot(camera, pose, ids[:0], positions[:0], headings[:0], occluders=[Disc((0, 0), 0.6, 28.0)])
@@ -74,8 +74,8 @@ def test_a_disc_covers_its_area():
     assert light[80, 100] == pytest.approx(28.0, abs=0.01)
 
 
-def test_the_visible_fraction_counts_border_and_occluders():
-    """A marker with its left half off the image; one covered by a disc of a quarter of its area; one free."""
+def test_visible_fraction_counts_border_and_occluders():
+    """The left half of one marker is outside the image. A disc covers a quarter of another one."""
     camera, side = Camera((300, 200), 40.0, (0.0, 0.0)), 40.0
     positions = np.array([[-0.5 / side, -2.5], [3.0, -2.5], [6.0, -2.5]])
     disc = Disc((3.0, -2.5), float(np.sqrt(0.25 / np.pi)), 90.0)
@@ -91,8 +91,8 @@ def test_the_visible_fraction_counts_border_and_occluders():
 
 @pytest.mark.parametrize("lens", [Distortion(), LENS], ids=["no lens", "lens"])
 @pytest.mark.parametrize("row_time_s", [0.0, 5e-5])
-def test_truth_has_the_slopes_of_the_image(lens, row_time_s):
-    """Heading, side and homography at the centre against differences of projections of marker points."""
+def test_truth_matches_the_image_jacobian(lens, row_time_s):
+    """Compare heading, side and homography at the centre with differences of projected marker points."""
     camera = Camera((640, 480), 400.0, distortion=lens)
     pose = CameraPose((0.3, -0.1), 10.0, 0.5, (0.2, -0.1))
     motion = Motion((2.0, -1.0, 0.5), 0.6, np.full((4, 2), 0.7), np.full(4, -2.0))
@@ -128,10 +128,10 @@ PAIR = np.array([3, 8]), np.array([[-0.5, 0.4], [1.0, -0.2]]), np.array([0.3, -2
 
 
 @pytest.mark.parametrize("lens", [Distortion(), LENS], ids=["no lens", "lens"])
-def test_each_row_of_a_rolling_shutter_is_that_row_of_its_own_instant(lens):
-    """0.5 grey levels: each of both images is right to 0.25."""
+def test_rolling_shutter_rows_have_their_own_times(lens):
+    """The tolerance is 0.5 grey levels, since the error of each image is at most 0.25."""
     camera, pose = Camera((160, 120), 150.0, distortion=lens), CameraPose((0.1, 0.0), 5.0, 0.3, (0.05, 0.1))
-    row_time_s = 3e-4  # 36 ms from first row to last, in which the robots turn by 2 and 4 deg
+    row_time_s = 3e-4  # 36 ms from the first row to the last; the robots turn by 2 and 4 deg.
     rolling = make_renderer(shutter=Shutter(row_time_s=row_time_s)).light(
         Shot(camera, pose, *PAIR, motion=MOVING)
     )
@@ -146,7 +146,7 @@ def test_each_row_of_a_rolling_shutter_is_that_row_of_its_own_instant(lens):
 
 
 def test_motion_blur_is_the_mean_over_the_exposure():
-    """Against 60 instants in the middles of equal parts; blur of 6 px."""
+    """Compare with the mean of 60 instants, by the midpoint rule; the blur is 6 px."""
     camera, pose = Camera((160, 120), 150.0), CameraPose((0.1, 0.0), 5.0, 0.3)
     exposure_s = 0.1
     blurred = make_renderer(shutter=Shutter(exposure_s)).light(Shot(camera, pose, *PAIR, motion=MOVING))

@@ -281,7 +281,7 @@ class TestInput:
     ],
 )
 def test_motion_is_written_from_age_0_to_below_the_hold(age_s, moves) -> None:
-    """Ages are exact in binary; the hold is 0.375 s and excluded."""
+    """Ages are exact in binary. The hold time of 0.375 s is excluded."""
     wire, steps = Wire(), Steps()
     driver = RobotDriver(
         wire, robot_id=3, limits=FAST, rate_hz=8, hold_s=0.375, clock=steps.clock, pause=steps.pause
@@ -289,8 +289,8 @@ def test_motion_is_written_from_age_0_to_below_the_hold(age_s, moves) -> None:
     steps.begin()
     steps.now_s = 10.0
     driver.send_motion(Motion(1.0, 0.0))
-    steps.now_s = 10.0 + age_s - 0.125  # a round begins with a pause of 0.125 s
-    if age_s < 0:  # time that goes back allows no growth of speed at once
+    steps.now_s = 10.0 + age_s - 0.125  # A round starts with a pause of 0.125 s.
+    if age_s < 0:  # A clock that goes back allows no immediate growth.
         driver._limiter.last = Motion(1.0, 0.0)
     steps.round()
     assert (wire.written[-1] != STILL) == moves
@@ -313,7 +313,7 @@ def test_close_writes_three_zeros_and_nothing_else(rig) -> None:
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
 def test_zeros_come_last_also_after_an_error_in_the_thread() -> None:
-    """An error of the clock or the pause ends the thread; the robot must be stopped all the same."""
+    """An error of the clock or the pause ends the thread. The robot must stop nevertheless."""
     wire = Wire()
     raised = []
 

@@ -1,4 +1,4 @@
-"""Defocus and coma: their formulas, moments, and that the cubature over the pupil is fine enough."""
+"""Defocus and coma: formulas, moments, and convergence of the cubature over the pupil."""
 
 import numpy as np
 import pytest
@@ -15,14 +15,14 @@ TEAM = np.arange(4), np.array([[1.2, 0.9], [-1.3, 0.9], [-1.2, -1.1], [1.4, -1.0
 
 
 def light(blur: LensBlur, pose: CameraPose = LEVEL, psf_px: float = 0.5, team=TEAM) -> np.ndarray:
-    """Light of four markers on even ground, as floats."""
+    """Return the light of four markers on uniform ground, as floats."""
     ground, sensor = Ground(0, contrast=0.0), Sensor(0.0, np.random.default_rng(0))
     renderer = Renderer("4X4_50", 1.0, ground, sensor, psf_px=psf_px, lens_blur=blur)
     return renderer.light(Shot(CAMERA, pose, *team)).astype(float)
 
 
 def moments(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (2,) and covariance (2, 2) of an image's light, taken as a density."""
+    """Return the mean (2,) and covariance (2, 2) of an image's light as a density."""
     v, u = np.mgrid[: image.shape[0], : image.shape[1]]
     share = image.ravel().astype(float) / image.sum(dtype=float)
     at = np.stack([u.ravel(), v.ravel()])
@@ -33,10 +33,11 @@ def moments(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(
     "blur", [LensBlur(disc_px=2.5), LensBlur(coma_px=0.8, coma_rad=0.6), LensBlur(1.5, 0.5, -2.0)]
 )
-def test_an_image_gets_the_moments_of_disc_and_coma(blur):
-    """Variances of a convolution add up: disc r²/4 a side, coma C²/2 along and C²/6 across; the mean stays.
+def test_blur_adds_the_moments_of_disc_and_coma(blur):
+    """Variances add up: disc r²/4 per axis, coma C²/2 along and C²/6 across. The mean does not change.
 
-    A bright square in the dark. Sampling a Gaussian of 0.85 px leaves exp(-2 π² 0.85²) of its moments, 1e-6.
+    The scene is a bright square on a dark ground. Sampling a Gaussian of 0.85 px changes its moments by
+    exp(-2 π² 0.85²), 1e-6.
     """
     one, dark = (TEAM[0][:1], np.array([[0.3, -0.2]]), TEAM[2][:1]), Ground(0, mean=0, contrast=0)
     sensor, grey = Sensor(0.0, np.random.default_rng(0)), {"black": 200.0, "white": 200.0}
@@ -54,8 +55,8 @@ def test_an_image_gets_the_moments_of_disc_and_coma(blur):
     )
 
 
-def test_a_disc_is_the_sharp_image_convolved_with_a_disc():
-    """At four times the resolution a disc of 0s and 1s, then means of 4 x 4: another way to the image."""
+def test_defocus_matches_convolution_with_a_disc():
+    """The expected image is convolved at four times the resolution, and then averaged over 4 x 4 pixels."""
     radius, times = 2.0, 4
     fine = Camera((160 * times, 120 * times), 160.0 * times, aspect=1.05)
     ground, sensor = Ground(0, contrast=0.0), Sensor(0.0, np.random.default_rng(0))
@@ -81,8 +82,8 @@ def test_a_disc_is_the_sharp_image_convolved_with_a_disc():
         LensBlur(aperture_m=0.1, focus_m=5),
     ],
 )
-def test_more_rays_change_nothing(blur, monkeypatch):
-    """The statement of the constants: 0.3 grey levels of 200 at most, 0.03 in the root mean square."""
+def test_three_times_as_many_rays_change_little(blur, monkeypatch):
+    """The bounds are those of the constants' docstring: 0.3 grey levels of 200 at most, and 0.03 RMS."""
     one = tuple(part[:1] for part in TEAM)
     asked = light(blur, TILTED, team=one)
     for name in ("RADIAL", "ANGULAR"):
@@ -92,7 +93,7 @@ def test_more_rays_change_nothing(blur, monkeypatch):
     assert np.abs(away).max() < 0.3 and np.sqrt((away**2).mean()) < 0.03
 
 
-def test_the_inverse_distance_is_that_of_the_ground_below_the_pixels():
+def test_inverse_depth_is_that_of_the_ground_at_pixels():
     corners = np.array([*footprint_m(CAMERA, TILTED).T, np.zeros(4)]).T
     camera = np.array([*TILTED.position_m, TILTED.height_m])
     distances = (corners - camera) @ rotation_camera_world(TILTED)[2]
@@ -100,11 +101,11 @@ def test_the_inverse_distance_is_that_of_the_ground_below_the_pixels():
     np.testing.assert_allclose(1 / found, distances, rtol=1e-12)
 
 
-def test_the_disc_by_depth_is_that_of_a_thin_lens():
+def test_defocus_disc_matches_the_thin_lens():
     """A lens of focal length F focused at z_f has its sensor at v_f = F z_f / (z_f - F).
 
-    A point at z is sharp at v = F z / (z - F), so that its cone, A wide at the lens, is A |v - v_f| / v wide
-    on the sensor; f px are v_f long.
+    A point at z is sharp at v = F z / (z - F). Its cone has width A at the lens, and width A |v - v_f| / v on
+    the sensor. The length v_f corresponds to f px.
     """
     thin_m, focus_m, aperture_m = 0.05, 5.0, 0.02
     corners = CAMERA.corners_px
@@ -116,8 +117,8 @@ def test_the_disc_by_depth_is_that_of_a_thin_lens():
     np.testing.assert_allclose(blur.radii_px(CAMERA, TILTED, corners), expected, rtol=1e-9)
 
 
-def test_each_ray_sees_what_a_pinhole_at_its_place_in_the_lens_sees():
-    """A camera moved by a in its image plane and shifted so that the plane in focus stays: the same image."""
+def test_ray_matches_a_pinhole_at_its_point_of_the_pupil():
+    """Compare with a pinhole camera moved in its image plane, shifted so that the focal plane stays."""
     blur = LensBlur(aperture_m=0.4, focus_m=5.5)
     rotation = rotation_camera_world(TILTED)
     for ray in blur.rays(CAMERA, TILTED, 0.6)[::5]:
@@ -129,8 +130,8 @@ def test_each_ray_sees_what_a_pinhole_at_its_place_in_the_lens_sees():
         np.testing.assert_allclose(found / found[2, 2], matrix / matrix[2, 2], rtol=1e-9, atol=1e-9)
 
 
-def test_what_is_in_focus_is_sharp_and_what_is_not_is_a_disc():
-    """Seen from straight above all ground has one distance; 6 m in focus, or 5 m, whose disc is 2 px."""
+def test_ground_in_focus_is_sharp_and_other_ground_a_disc():
+    """The camera is 6 m above the ground. Its focus is at 6 m, or at 5 m with a disc of 2 px."""
     sharp = light(LensBlur())
     np.testing.assert_allclose(light(LensBlur(aperture_m=0.5, focus_m=6.0)), sharp, atol=1e-3)
     aperture_m = 2 * 2.0 / (160 * (1 / 5.0 - 1 / 6.0))
@@ -143,20 +144,20 @@ def test_what_is_in_focus_is_sharp_and_what_is_not_is_a_disc():
     np.testing.assert_allclose(one, other, atol=1e-2)
 
 
-def test_rays_share_the_light_and_shift_nothing_in_the_mean():
+def test_ray_weights_sum_to_one_and_mean_shift_is_zero():
     rays = LensBlur(2.0, 0.7, 0.3, 0.2, 5.0).rays(CAMERA, TILTED, 0.6)
     weights = np.array([ray.weight for ray in rays])
     assert weights.sum() == pytest.approx(1.0) and weights.min() > 0
     np.testing.assert_allclose(weights @ np.array([ray.shift_px for ray in rays]), 0.0, atol=1e-12)
 
 
-def test_a_lens_blur_that_cannot_be_is_refused():
+def test_invalid_lens_blur_is_refused():
     for wrong in ({"disc_px": -1.0}, {"coma_px": -0.1}, {"aperture_m": -1.0}, {"focus_m": 0.0}):
         with pytest.raises(InputError, match="lens"):
             LensBlur(**wrong)
 
 
-def test_off_it_changes_no_bit():
+def test_lens_blur_of_zero_changes_no_bit():
     plain, off = (
         Renderer(
             "4X4_50", 1.0, Ground(3, kind="tiles", tile_m=0.7), Sensor(2.0, np.random.default_rng(1)), **lens

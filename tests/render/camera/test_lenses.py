@@ -1,4 +1,4 @@
-"""Lenses: the fisheye's law and its inverse, zoom lenses, images through them against the exact reference."""
+"""Lenses: fisheye, lens field, zoom lenses and presets, with images against the exact reference."""
 
 import cv2
 import numpy as np
@@ -28,11 +28,11 @@ from skyherd.sim.perception import make_perception
 from skyherd.sim.physics import make_world
 
 FISHEYE = Camera((800, 600), 300 / np.radians(45), (406.0, 291.0), distortion=Equidistant())
-"""120 degrees across the longer side."""
+"""Fisheye with a field of view of 120 degrees across the longer side."""
 
 
-def test_a_fisheye_sees_rays_in_proportion_to_their_angle():
-    """Along every direction, from the axis out to 80 degrees, and back: rounding of tan there is 1e-14."""
+def test_fisheye_radius_is_proportional_to_the_angle():
+    """The angles reach 80 degrees in all directions, where the rounding of tan is 1e-14."""
     rng = np.random.default_rng(1)
     angle, way = np.radians(np.r_[0.0, 1e-6, rng.uniform(0, 80, 200)]), rng.uniform(-np.pi, np.pi, 202)
     direction = np.column_stack([np.cos(way), np.sin(way)])
@@ -42,8 +42,8 @@ def test_a_fisheye_sees_rays_in_proportion_to_their_angle():
     np.testing.assert_allclose(Equidistant().remove(seen), rays, rtol=1e-12, atol=1e-14)
 
 
-def test_the_fisheyes_slopes_are_those_of_differences():
-    """Central differences of 1e-6: rounding 1e-10, and the third derivative's share is less."""
+def test_fisheye_jacobian_matches_differences():
+    """Central differences of 1e-6 have a rounding error of 1e-10, and a smaller truncation error."""
     rays = np.random.default_rng(2).uniform(-2, 2, (100, 2))
     rays[0], rays[1] = 0.0, [1e-5, -3e-5]
     step = 1e-6
@@ -57,8 +57,8 @@ def test_the_fisheyes_slopes_are_those_of_differences():
     np.testing.assert_allclose(Equidistant().jacobian(rays), found, rtol=0, atol=1e-9)
 
 
-def test_a_fisheye_is_projected_as_opencv_has_it():
-    """`cv2.fisheye` without coefficients is the equidistant law."""
+def test_fisheye_projection_matches_opencv():
+    """`cv2.fisheye` without coefficients is the equidistant projection."""
     rng, pose = np.random.default_rng(3), CameraPose((0.3, -0.2), 6.0, 0.7, (0.1, -0.15))
     points = rng.uniform(-8, 8, (60, 2))
     straight = project(Camera(FISHEYE.size_px, FISHEYE.focal_px, FISHEYE.principal_point_px), pose, points)
@@ -69,10 +69,12 @@ def test_a_fisheye_is_projected_as_opencv_has_it():
     np.testing.assert_allclose(project(FISHEYE, pose, points), theirs, atol=1e-9)
 
 
-def test_a_fisheyes_image_is_the_exact_one():
-    """Markers from the axis out to 65 degrees, of 16 to 47 px; the reference's edges bent by OpenCV's
-    fisheye. The bounds are those of tests/render/test_exactness.py, 0.5 grey levels at worst, 0.1 RMS; in the
-    corners, beyond 60 degrees, the scale changes by 1 % a pixel, and the worst one is off by twice that."""
+def test_fisheye_image_matches_the_reference():
+    """The markers are up to 65 degrees off the axis, with 16 to 47 px. OpenCV distorts the reference's edges.
+
+    The bounds are those of tests/render/test_exactness.py: 0.5 grey levels at most, and 0.1 RMS. Beyond 60
+    degrees the scale changes by 1 % per pixel, and the bound is twice as large.
+    """
     rng, pose = np.random.default_rng(4), CameraPose((0.0, 0.0), 8.0, 0.4, (0.1, -0.05))
     grid = np.stack(np.meshgrid(np.arange(-4, 5), np.arange(-3, 4)), axis=-1).reshape(-1, 2)[:50]
     positions, headings = grid * 3.2 + rng.uniform(-0.2, 0.2, grid.shape), rng.uniform(-3, 3, len(grid))
@@ -100,8 +102,8 @@ def test_a_fisheyes_image_is_the_exact_one():
     assert (off_axis[touched] / FISHEYE.focal_px).max() > 60, "the test goes far out"
 
 
-def test_what_a_lens_does_is_known_at_every_pixel():
-    """Splines against the lens itself, in image pixels: 2e-4, and 1e-3 for one about to fold."""
+def test_lens_field_matches_the_lens_at_every_pixel():
+    """The error of the splines is below 2e-4 px, and below 1e-3 px for a lens that almost folds."""
     lenses = [
         (Camera((480, 360), 400.0, distortion=Distortion(k1=-0.2, k2=0.05, p1=0.002)), 2e-4),
         (FISHEYE, 2e-4),
@@ -120,8 +122,8 @@ def test_what_a_lens_does_is_known_at_every_pixel():
         assert np.abs(product - np.eye(2)).max() < 10 * most
 
 
-def test_a_zoom_lens_bends_otherwise_at_each_zoom():
-    """At the zoom z it is the plain lens of k1 + zoom_k1 log2 z, of z times the focal length."""
+def test_zoom_lens_changes_k1_with_the_zoom():
+    """At zoom z the lens equals one with k1 + zoom_k1 log2 z and z times the focal length."""
     points = np.random.default_rng(5).uniform(-2, 2, (40, 2))
     lens = Camera((800, 800), 700.0, distortion=Distortion(k1=-0.2, zoom_k1=0.4))
     for zoom, k1 in ((1.0, -0.2), (2.0, 0.2), (2**0.5, 0.0), (1.2, -0.2 + 0.4 * np.log2(1.2))):
@@ -154,7 +156,7 @@ def test_a_zoom_lens_bends_otherwise_at_each_zoom():
         ),
     ],
 )
-def test_a_lens_that_makes_no_image_is_refused_in_one_line(changes, said):
+def test_invalid_lens_is_refused_in_one_line(changes, said):
     unit = f"{{ position_m = [0, 0], height_m = 9, camera = {toml(changes)}, zoom = [[0, 1], [5, 0.5]] }}"
     with pytest.raises(InputError) as refused:
         load_mission("triangle", [f"units=[{unit}]"])
@@ -165,14 +167,14 @@ def test_a_lens_that_makes_no_image_is_refused_in_one_line(changes, said):
 
 
 def toml(table: dict) -> str:
-    """An inline table."""
+    """Return a TOML inline table."""
     parts = (
         f"{key} = {toml(value) if isinstance(value, dict) else repr(value)}" for key, value in table.items()
     )
     return "{ " + ", ".join(parts) + " }"
 
 
-def test_a_fisheye_has_no_rays_from_too_far_off_its_axis():
+def test_fisheye_refuses_rays_far_off_its_axis():
     with pytest.raises(InputError, match="86 degrees off the axis"):
         Camera((800, 800), 400 * 2**0.5 / 1.5, distortion=Equidistant())
     with pytest.raises(InputError, match="lens"):
@@ -182,7 +184,7 @@ def test_a_fisheye_has_no_rays_from_too_far_off_its_axis():
 # --- test cameras by name ---
 
 
-def test_presets_are_changed_by_other_keys():
+def test_other_keys_override_a_preset():
     camera = CameraModel(preset="phone", aspect=1.1, focal_px=900.0)
     assert (camera.size_px, camera.aspect, camera.focal_length_px) == ((800, 600), 1.1, 900.0)
     assert camera.distortion.k1 == CAMERAS["phone"]["distortion"]["k1"]
@@ -190,16 +192,16 @@ def test_presets_are_changed_by_other_keys():
     assert again == camera, "a recording's own copy is the same camera"
 
 
-def test_the_fisheye_sees_120_degrees():
-    """The middle of the right border: half of 800 px, 60 degrees off the axis."""
+def test_fisheye_preset_has_120_degrees():
+    """The middle of the right border is 60 degrees off the axis."""
     camera = CameraModel(preset="fisheye").make()
     middle = undistort(camera, 1.0, np.array([[799.5, 299.5]]))[0]
     assert np.arctan((middle[0] - 399.5) / camera.focal_px) == pytest.approx(np.radians(60))
 
 
 @pytest.mark.parametrize("name", CAMERAS)
-def test_every_test_camera_can_be_used_and_reads_its_markers(name, scenario_tree):
-    """Six robots within four tenths of the image, markers of 14 px or more: one image shows them all."""
+def test_markers_are_found_with_every_preset_camera(name, scenario_tree):
+    """One image contains all six robots, with markers of at least 14 px."""
     tree = scenario_tree("triangle")
     camera = CameraModel(preset=name)
     reach_m = 0.4 * min(camera.size_px) / camera.focal_length_px * 12.0

@@ -1,4 +1,4 @@
-"""What a camera does to its images: each step against its formula, or another way to the same."""
+"""Image processing of a camera: each step against its formula or another implementation."""
 
 import av
 import cv2
@@ -12,26 +12,26 @@ from skyherd.render.processing.tone import luma, raw_signal, tone
 from skyherd.render.processing.video_stream import VideoStream
 
 RAMP = np.add.outer(np.arange(60.0), 2 * np.arange(80.0)).astype(np.float32)
-"""Grey levels that change from pixel to pixel, 60 x 80."""
+"""Grey levels (60, 80) of a linear ramp."""
 
 FILTERS = [Mosaic("bilinear"), Mosaic("edge-aware"), Mosaic("edge-aware", 2.0, 1.5)]
 
 
 def taken(light, processing=None, noise=0.0, seed=1, shot=0.0) -> np.ndarray:
-    """Image that a sensor with this processing makes, as floats."""
+    """Return the image of a sensor with a processing, as floats."""
     sensor = Sensor(noise, np.random.default_rng(seed), shot=shot, processing=processing or Processing())
     return sensor.expose(np.array(light, dtype=np.float32)).astype(float)
 
 
-def test_a_gamma_is_undone_by_its_inverse():
+def test_inverse_gamma_restores_levels():
     levels = np.linspace(0, 255, 400)
     np.testing.assert_allclose(tone(tone(levels, 2.2, 0.0), 1 / 2.2, 0.0), levels, atol=1e-9)
     np.testing.assert_allclose(tone(levels, 1.0, 0.0), levels, atol=1e-12)
     np.testing.assert_allclose(tone([0.0, 255.0], 2.2, 0.7), [0.0, 255.0], atol=1e-9)
 
 
-def test_the_tone_curve_is_the_one_of_its_docstring():
-    """By hand: half of the light under gamma 2 is sqrt 0.5, and S of it 3/2 - sqrt 0.5."""
+def test_tone_curve_matches_its_formula():
+    """Half of the light under gamma 2 is sqrt 0.5, and S of it 3/2 - sqrt 0.5."""
     root = np.sqrt(0.5)
     assert tone(127.5, 2.0, 0.0) == pytest.approx(255 * root)
     assert tone(127.5, 2.0, 1.0) == pytest.approx(255 * (1.5 - root))
@@ -42,20 +42,20 @@ def test_the_tone_curve_is_the_one_of_its_docstring():
 
 @pytest.mark.parametrize("mosaic", FILTERS)
 @pytest.mark.parametrize("size", [(40, 60), (41, 33)])
-def test_flat_grey_stays_what_it_is_through_a_mosaic(mosaic, size):
+def test_mosaic_keeps_uniform_grey(mosaic, size):
     for level in (0.0, 17.0, 128.0, 255.0):
         np.testing.assert_array_equal(taken(np.full(size, level), Processing(mosaic=mosaic)), level)
 
 
 @pytest.mark.parametrize("mosaic", FILTERS[:2])
-def test_a_slope_stays_what_it_is_through_a_mosaic(mosaic):
-    """Interpolation is exact on a plane, away from the image's rim; rounding to 8 bits is the only change."""
+def test_mosaic_keeps_a_linear_ramp(mosaic):
+    """Interpolation is exact on a ramp, except at the border. The tolerance is the rounding to 8 bits."""
     image = taken(RAMP / 2, Processing(mosaic=mosaic))
     assert np.abs(image - RAMP / 2)[3:-3, 3:-3].max() <= 0.5 + 1 / 128
 
 
-def test_bilinear_demosaicing_is_the_mean_of_the_nearest_of_each_colour():
-    """Another way: each colour's pixels, convolved with a tent, over as much of the tent as has pixels."""
+def test_bilinear_demosaicing_matches_tent_filters():
+    """The expected image is each colour's pixels convolved with a tent filter."""
     raw = raw_signal(np.random.default_rng(4).uniform(0, 255, (20, 24)).astype(np.float32))
     tent = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4
     cross = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4
@@ -68,11 +68,11 @@ def test_bilinear_demosaicing_is_the_mean_of_the_nearest_of_each_colour():
 
 
 @pytest.mark.parametrize("gains", [(1.0, 1.0), (2.0, 1.5)])
-def test_noise_enters_before_the_mosaic_and_white_balance_multiplies_it(gains):
-    """The variance of luma from those of the mosaic's pixels, g² noise² + g shot s, at its four places.
+def test_white_balance_multiplies_noise_before_demosaicing(gains):
+    """The luma's variance follows from those of the mosaic's pixels, g² noise² + g shot s.
 
-    A colour is that of the pixel itself, or the mean of two or four neighbours. 160 000 pixels, whose errors
-    depend on some ten neighbours each: five standard errors are 5 sqrt(2 · 10 / 160 000), 6 %.
+    A colour is that of the pixel itself, or the mean of two or four neighbours. The errors of the 160 000
+    pixels are correlated over about ten neighbours: 5 standard errors are 5 sqrt(2 · 10 / 160 000), 6 %.
     """
     noise, shot, level = 6.0, 0.2, 128.0
     settings = Processing(mosaic=Mosaic("bilinear", *gains))
@@ -90,18 +90,18 @@ def test_noise_enters_before_the_mosaic_and_white_balance_multiplies_it(gains):
     assert neighbours > 0.2, "errors of neighbours depend on each other, as those of the sensor do not"
 
 
-def test_filters_lie_in_fours():
+def test_gains_repeat_every_two_rows_and_columns():
     np.testing.assert_array_equal(FILTERS[2].gains(3, 4), [[2, 1, 2, 1], [1, 1.5, 1, 1.5], [2, 1, 2, 1]])
 
 
-def test_the_information_of_a_mosaic_is_that_of_its_pixels():
+def test_mosaic_information_is_that_of_its_pixels():
     assert Mosaic().information == Mosaic("bilinear").information == 1.0
     gains = FILTERS[2].gains(10, 10)
     assert FILTERS[2].information == pytest.approx((gains**-2.0).mean())
 
 
-def test_denoising_is_the_bilateral_filter_of_its_docstring():
-    """Pixel by pixel in the inner part; OpenCV reads its weights off a table, and its window is round."""
+def test_denoising_matches_the_bilateral_filter():
+    """Compare some inner pixels. OpenCV's window is round, and a table quantizes its weights."""
     image = np.random.default_rng(2).normal(120, 12, (16, 18)).astype(np.float32)
     image[:, 9:] += 60
     reach = WINDOW_PX // 2
@@ -117,8 +117,8 @@ def test_denoising_is_the_bilateral_filter_of_its_docstring():
     assert found[:, 11:].mean() - found[:, :7].mean() == pytest.approx(60, abs=6), "the edge stays"
 
 
-def test_sharpening_is_an_unsharp_mask():
-    """On a wave of frequency w a Gaussian leaves g = exp(-(w s)²/2), so that it grows by 1 + a (1 - g)."""
+def test_sharpening_matches_the_unsharp_mask():
+    """A Gaussian scales a wave of frequency w by g = exp(-(w s)²/2), so that the gain is 1 + a (1 - g)."""
     frequency, amount, radius = 2 * np.pi / 8, 0.7, 1.3
     wave = np.tile(np.sin(frequency * np.arange(160)), (40, 1)).astype(np.float32)
     grown = sharpen(wave, amount, radius)[20, 20:-20] @ wave[20, 20:-20] / (wave[20, 20:-20] ** 2).sum()
@@ -127,7 +127,7 @@ def test_sharpening_is_an_unsharp_mask():
     np.testing.assert_array_equal(sharpen(wave, 0.0, radius), wave)
 
 
-def test_the_steps_come_in_the_order_they_are_described_in():
+def test_processing_steps_have_the_documented_order():
     processing = Processing(
         mosaic=FILTERS[1], gamma=1.8, s_curve=0.2, denoise=9.0, sharpen=0.5, sharpen_px=0.8
     )
@@ -139,21 +139,21 @@ def test_the_steps_come_in_the_order_they_are_described_in():
     assert np.abs(processing.develop(light) - expected).max() <= 0.51
 
 
-def test_luma_weighs_colours_as_jpeg_does():
+def test_luma_has_the_weights_of_jpeg():
     raw = np.zeros((1, 3, 3), dtype=np.uint16)
     raw[0, np.arange(3), np.arange(3)] = 100 * 256
     np.testing.assert_allclose(luma(raw, 1.0, 0.0)[0], [11.4, 58.7, 29.9], atol=1e-4)
 
 
 def textured(number: int) -> np.ndarray:
-    """A picture of a smooth pattern that moves from picture to picture, with noise; 45 x 65, odd."""
+    """Return a noisy picture (45, 65) of a smooth pattern that moves with the number."""
     v, u = np.mgrid[:45, :65]
     wave = 120 + 60 * np.sin((u + number) / 5.0) * np.cos((v - number) / 7.0)
     return np.clip(wave + np.random.default_rng(number).normal(0, 3, wave.shape), 0, 255).astype(np.uint8)
 
 
-def test_a_video_gives_each_picture_back_in_order_and_the_same_bits_again():
-    """Closest to its own picture among all; more loss and fewer bits at a higher factor."""
+def test_video_is_in_order_and_reproducible():
+    """Each output is closest to its own input. A higher factor has more loss and fewer bits."""
     sent = [textured(4 * number) for number in range(8)]
     sizes, losses = [], []
     for crf in (10, 30):
@@ -169,8 +169,8 @@ def test_a_video_gives_each_picture_back_in_order_and_the_same_bits_again():
     assert losses[0] < losses[1] and sizes[0] > 1.5 * sizes[1]
 
 
-def test_a_video_is_h264_that_any_decoder_reads(tmp_path):
-    """Its packets in a file, read by a demuxer and another decoder: the same pictures."""
+def test_video_packets_decode_as_h264(tmp_path):
+    """A demuxer and a separate decoder read the same pictures from a file of the packets."""
     stream = VideoStream((64, 48), 23)
     packets = []
     encode = stream._encoder.encode
@@ -191,8 +191,8 @@ def test_a_video_is_h264_that_any_decoder_reads(tmp_path):
     np.testing.assert_array_equal(read, seen)
 
 
-def test_each_camera_has_a_video_of_its_own():
-    """Pictures of two cameras in turn come out as those of each alone; a shared stream would mix them up."""
+def test_each_camera_has_its_own_video_stream():
+    """Alternating pictures of two cameras are decoded as those of each camera alone."""
     settings = Processing(h264_crf=28)
     both = Sensor(0.0, np.random.default_rng(0), processing=settings)
     alone = [Sensor(0.0, np.random.default_rng(0), processing=settings) for _ in range(2)]
@@ -204,7 +204,7 @@ def test_each_camera_has_a_video_of_its_own():
             )
 
 
-def test_jpeg_comes_after_development_and_before_the_video():
+def test_jpeg_follows_development_and_precedes_video():
     settings = Processing(gamma=2.0, h264_crf=20)
     sensor = Sensor(0.0, np.random.default_rng(0), jpeg_quality=30, processing=settings)
     _, data = cv2.imencode(".jpg", settings.develop(RAMP), [cv2.IMWRITE_JPEG_QUALITY, 30])
@@ -223,8 +223,8 @@ ON = {
 
 
 @pytest.mark.parametrize("part", ON)
-def test_each_part_changes_the_image_alone_and_is_off_by_one_key(part):
-    """All off is what a sensor without processing gives, bit by bit, under noise too."""
+def test_each_step_changes_the_image_and_is_off_by_default(part):
+    """With all steps off the image equals that of a sensor without processing, also with noise."""
     plain = taken(RAMP, None, noise=3.0, shot=0.1)
     off = Processing(sharpen_px=2.0)
     np.testing.assert_array_equal(taken(RAMP, off, noise=3.0, shot=0.1), plain)
@@ -234,7 +234,7 @@ def test_each_part_changes_the_image_alone_and_is_off_by_one_key(part):
     assert (taken(RAMP, everything, 3.0) != taken(RAMP, all_but, 3.0)).mean() > 0.2
 
 
-def test_the_same_seed_gives_the_same_images_and_another_does_not():
+def test_images_depend_on_the_seed_only():
     settings = Processing(**ON)
     one, same, other = (taken(RAMP, settings, noise=3.0, seed=seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)

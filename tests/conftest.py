@@ -5,8 +5,8 @@ The fixtures are session-scoped where they can be: hypothesis may then use them 
 
 import gc
 
-# Nothing that is loaded or collected before the first test is ever let go again: to look for garbage among it
-# takes a third of the time of collecting.
+# Objects that exist before the first test are never released, and garbage collection among them takes a third
+# of the collection time.
 gc.disable()
 
 import importlib.util
@@ -22,8 +22,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-# pytest-xdist keeps all cores busy; more threads for linear algebra would only wait for each other. Must be
-# set before NumPy is loaded. Results then do not depend on the number of cores either.
+# pytest-xdist keeps all cores busy, so that more threads of linear algebra do not help. Results also become
+# independent of the number of cores. This must be set before NumPy is imported.
 for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
@@ -43,8 +43,8 @@ from skyherd.render import ground
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
 GARBAGE_LOOKED_FOR = 20_000
-"""Number of objects after whose making garbage is looked for. Chosen: of 700, Python's own, looking takes 3 %
-of the time, since steps and figures are many objects; so many of them are some megabytes."""
+"""Threshold of garbage collection, objects. Chosen: with Python's 700 it takes 3 % of the time, since steps
+and figures are many objects; 20 000 of them take some megabytes."""
 
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None)
 hypothesis.settings.register_profile("random", deadline=None, database=None, print_blob=True)
@@ -52,8 +52,8 @@ hypothesis.settings.register_profile("random", deadline=None, database=None, pri
 
 def pytest_configure(config: pytest.Config) -> None:
     """Fix the examples of property tests; with `-m random`, draw others from a printed seed."""
-    # Hypothesis also draws constants that it finds in the modules loaded so far, so that examples would
-    # depend on which tests ran before in the same process.
+    # Hypothesis also draws constants of the loaded modules, so that examples would depend on earlier tests in
+    # the same process.
     if hasattr(providers, "_get_local_constants"):
         providers._get_local_constants = lambda: providers._local_constants
     if not re.search(r"(?<!not )\brandom\b", config.option.markexpr):
@@ -61,18 +61,18 @@ def pytest_configure(config: pytest.Config) -> None:
         return
     hypothesis.settings.load_profile("random")
     seed = config.getoption("--hypothesis-seed")
-    if seed is None:  # workers of pytest-xdist inherit the environment of the process that starts them
+    if seed is None:  # workers of pytest-xdist inherit the environment
         seed = os.environ.setdefault("SKYHERD_RANDOM_TESTS_SEED", str(secrets.randbits(32)))
         hypothesis.core.global_force_seed = int(seed)
     config.stash[SEED] = str(seed)
 
 
 SEED = pytest.StashKey[str]()
-"""The seed of random property tests."""
+"""Key of the seed of random property tests."""
 
 
 def pytest_report_header(config: pytest.Config) -> str | None:
-    """Say how a run of random property tests is repeated."""
+    """Return how to repeat a run of random property tests."""
     seed = config.stash.get(SEED, None)
     return seed and f"random property tests, seed {seed}: repeat with -m random --hypothesis-seed={seed}"
 
@@ -88,7 +88,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Collect garbage from here on, except among existing objects."""
+    """Enable garbage collection, except among existing objects."""
     gc.freeze()
     gc.set_threshold(GARBAGE_LOOKED_FOR)
     gc.enable()

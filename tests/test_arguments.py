@@ -1,4 +1,4 @@
-"""Functions that `skyherd` offers, given what is not meant: one line says which and what is allowed."""
+"""Public functions with invalid arguments: one line names the argument and the allowed values."""
 
 import pytest
 
@@ -29,7 +29,7 @@ CALLS = {
     "jobs -3": (lambda path: run(path, jobs=-3), "jobs: -3; a whole number from 1"),
     "jobs x": (lambda path: run(path, jobs="x"), "jobs: 'x'; a whole number from 1"),
 }
-"""Calls of the library with an argument that is not what is meant, and what is said of it."""
+"""Calls of the library with an invalid argument, and the expected words of the error."""
 
 
 def run(folder, **options):

@@ -1,4 +1,4 @@
-"""Parts of a controller that are made from a configuration, and that scenario and lab make alike."""
+"""Assembly of a controller's parts from a configuration, equal for scenario and lab."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from skyherd.live.lab import load_lab, make_lab
 from skyherd.sim.agents import make_controller
 
 SQUARE = Template(np.arange(4), np.array([0, 2, 2 + 2j, 2j]))
-"""A square whose nearest points are 2 units apart."""
+"""Square whose nearest points are 2 units apart."""
 
 
 @pytest.mark.parametrize(

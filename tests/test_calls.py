@@ -1,4 +1,4 @@
-"""No constructor is called with more than three numbers by position, where a wrong order goes unseen."""
+"""No constructor is called with more than three positional numbers, whose wrong order is hard to see."""
 
 import ast
 import re
@@ -8,10 +8,10 @@ import pytest
 from source_files import SOURCE_FILES, syntax_tree
 
 MAX_NUMBERS = 3
-"""Chosen: x, y and z, or a place and a size, are still read at a glance."""
+"""Maximum number of positional numbers. Chosen: x, y and z, or a position and a size, are easy to read."""
 
 UNITS = re.compile(r"_(m|px|s|rad|deg|mps|radps|hz|sides|cells|px2|m2|degps|ps)$")
-"""Endings of names by which the project marks numbers."""
+"""Suffixes of names with which the project marks numbers."""
 
 
 def is_number(node: ast.expr) -> bool:

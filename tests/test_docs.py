@@ -1,4 +1,4 @@
-"""The documentation beside the code: paths, commands, options and scenarios that it shows are there."""
+"""Documentation against the code: its paths, commands, options and scenarios exist."""
 
 import ast
 import importlib.util
@@ -21,7 +21,7 @@ GROUP = typer.main.get_command(app)
 
 
 def script(name: str):
-    """Return a module of docs/scripts, which is no package."""
+    """Return a module of docs/scripts, which is not a package."""
     spec = importlib.util.spec_from_file_location(name, DOCS / "scripts" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
@@ -62,7 +62,7 @@ def test_verbs_and_options_on_a_page_exist(page) -> None:
 
 
 def test_pages_with_commands_are_found() -> None:
-    """A negative control of the test above."""
+    """Negative control of the test above."""
     assert ["run", "star"] in commands(DOCS / "how-to/run.md")
     assert sum(len(commands(page)) for page in PAGES) > 40
 

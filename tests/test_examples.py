@@ -1,4 +1,4 @@
-"""The examples do what they say."""
+"""Scripts of examples/: their output is correct."""
 
 import importlib.util
 from pathlib import Path

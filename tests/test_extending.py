@@ -1,4 +1,4 @@
-"""The examples of docs/extending.md: each is run as it stands, and does what the page says of it."""
+"""Examples of docs/extending.md: each runs unchanged and has the documented effect."""
 
 import csv
 import re
@@ -17,9 +17,9 @@ PAGE = Path(__file__).parents[1] / "docs" / "extending.md"
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory) -> dict:
-    """Return the names that the blocks of the page define, run one after the other as one script.
+    """Run the blocks of the page as one script, and return the names that they define.
 
-    `last_steps` has the last step of each mission that it runs to its end. The report's figure is one.
+    `last_steps` has the last step of each mission that the script runs to its end.
     """
     names: dict = {"folder": tmp_path_factory.mktemp("extending") / "run", "last_steps": []}
     text = PAGE.read_text("utf-8")

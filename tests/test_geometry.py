@@ -1,4 +1,4 @@
-"""Plane geometry: the one corner order, and the affine fit of a square."""
+"""Plane geometry: corner order, and affine fit of a square."""
 
 import numpy as np
 import pytest

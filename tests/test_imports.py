@@ -1,7 +1,7 @@
-"""Imports within the package: no way past a facade, layers without a cycle, and few of them.
+"""Imports within the package: facades, and few layers without cycles.
 
-Independent of the import contracts of `pyproject.toml`: everything is read from the source files here, with
-imports inside of functions and for type checkers.
+The tests are independent of the import contracts of `pyproject.toml`. They read the source files, including
+imports inside functions and for type checkers.
 """
 
 import ast
@@ -12,13 +12,13 @@ import pytest
 from source_files import ROOT, SOURCE_FILES, syntax_tree
 
 FACADES = ("control", "render", "vision")
-"""Packages whose names are to be imported from the package itself: `from skyherd.control import Template`."""
+"""Packages whose names are imported from the package itself: `from skyherd.control import Template`."""
 
 MAX_CHILDREN = 32
-"""Modules and packages directly under `skyherd` that a newcomer is to take in. Chosen."""
+"""Maximum number of modules and packages directly under `skyherd`. Chosen: easy to survey."""
 
 MAX_LAYERS = 18
-"""Layers of the exhaustive import contract. Chosen."""
+"""Maximum number of layers of the exhaustive import contract. Chosen."""
 
 
 def imports(tree: ast.Module, modules: set[str]) -> set[str]:

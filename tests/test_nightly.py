@@ -1,4 +1,4 @@
-"""The nightly run reports every failure, and no success that it did not observe."""
+"""Nightly run: it reports each failure, and only observed successes."""
 
 import datetime
 import json
@@ -81,7 +81,7 @@ def test_earlier_rows_stay_until_their_step_runs_again(nightly) -> None:
 
 
 def test_every_slow_test_is_in_exactly_one_step(nightly) -> None:
-    """A folder that has a step of its own is left out of the others', and is there."""
+    """A folder with its own step exists, and is excluded from the other steps."""
     steps = [arguments for arguments in nightly.TESTS.values() if "slow and not random" in arguments]
     folders = {f"tests/{part}" for part in nightly.SLOW_PARTS}
     assert sorted(arguments[2] for arguments in steps if len(arguments) == 3) == sorted(folders)
@@ -91,5 +91,5 @@ def test_every_slow_test_is_in_exactly_one_step(nightly) -> None:
 
 
 def test_missions_of_two_days_share_no_seed(nightly) -> None:
-    """The largest share is all of the published number, 1000 at most."""
+    """The largest share is the whole published number, at most 1000."""
     assert max(missions.published for missions in nightly.MISSIONS.values()) <= 1000

@@ -1,4 +1,4 @@
-"""The notebook of the examples, run cell by cell without Jupyter."""
+"""Notebook of the examples, run cell by cell without Jupyter."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,7 @@ class TestNotebook:
         assert len(found) == found.covariances.shape[0] >= 10
         # The mean of N chi-squared numbers of 3 degrees of freedom has variance 6 / N: five sigmas.
         assert abs(nees.mean() - 3) < 5 * np.sqrt(6 / nees.size)
-        # Negative control: covariances a tenth as large in standard deviation would fail.
+        # Negative control: standard deviations a tenth as large fail.
         assert abs(100 * nees.mean() - 3) > 5 * np.sqrt(6 / nees.size)
 
     def test_scenario_reaches_its_shape_while_v_falls(self, names) -> None:

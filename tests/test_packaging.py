@@ -1,4 +1,4 @@
-"""The package list is the tree, the wheel holds nothing at its top but skyherd, and truth does not leak."""
+"""Packaging: the package list matches the tree, and the wheel's only top level is skyherd."""
 
 import ast
 import importlib.util
@@ -96,7 +96,7 @@ def test_version_has_one_source():
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """Return the names of the files in the wheel: the one that `SKYHERD_WHEEL` names, or a new one."""
+    """Return the file names of the wheel `SKYHERD_WHEEL`, or of a new one."""
     made = os.environ.get("SKYHERD_WHEEL")
     if made:
         return zipfile.ZipFile(made).namelist()
@@ -131,7 +131,7 @@ def imported_modules(path):
 
 @pytest.mark.smoke
 def test_control_imports_neither_pixels_nor_world():
-    """Independent of the import contracts, which the gate checks with a planted leak as well."""
+    """The test is independent of the import contracts, which the gate checks with a planted leak."""
     allowed = ("skyherd.control", "skyherd.errors", "skyherd.geometry", "skyherd.messages")
     for path in (ROOT / "control").rglob("*.py"):
         ours = [name for name in imported_modules(path) if name.startswith("skyherd")]

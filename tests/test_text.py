@@ -1,4 +1,4 @@
-"""Texts from outside, made harmless to show."""
+"""Sanitizing of external texts for display."""
 
 import csv
 import io

@@ -1,4 +1,4 @@
-"""`benchmarks/loop.py`: its arithmetic, the version that it unpacks, what it refuses, its tables and JSON."""
+"""`benchmarks/loop.py`: arithmetic, unpacked versions, refused input, tables and JSON."""
 
 import json
 import subprocess
@@ -12,13 +12,13 @@ from skyherd.errors import InputError
 
 @pytest.fixture(scope="module")
 def loop(load_benchmark):
-    """The script."""
+    """Return the script as a module."""
     return load_benchmark("loop")
 
 
 @pytest.fixture(scope="module")
 def against(loop):
-    """The module of the script that runs two versions in alternation."""
+    """Return the module that runs two versions in alternation."""
     return import_module("loop_against")
 
 
@@ -27,8 +27,8 @@ def unpacked(loop):
     return import_module("versions").unpacked
 
 
-def test_ratios_are_taken_in_each_round_and_not_of_medians(against):
-    """A machine that is three times as slow in one round changes the medians, and no ratio."""
+def test_ratios_are_computed_per_round(against):
+    """A slower machine in one round changes the medians, but no ratio."""
     pairs = [
         ({"step": 2.0, "places": "a"}, {"step": 4.0, "places": "a"}),
         ({"step": 6.0, "places": "a"}, {"step": 12.0, "places": "a"}),
@@ -42,7 +42,7 @@ def test_ratios_are_taken_in_each_round_and_not_of_medians(against):
     assert not against.same_places([*pairs, (pairs[0][0], {"step": 4.0, "places": "b"})])
 
 
-def test_the_parts_of_a_step_add_up(loop):
+def test_parts_of_a_step_sum_to_the_step(loop):
     calls_s = {"render": [0.1, 0.3], "detect": [0.2, 0.2], "control": [0.05, 0.05], "record": [0.1]}
     row = import_module("loop_parts").account([0.5, 1.5], calls_s, plain_s=0.4)
     assert row["steps_per_s"] == 1.0 and row["frames"] == 2
@@ -50,10 +50,10 @@ def test_the_parts_of_a_step_add_up(loop):
     assert row["share"] == pytest.approx(
         {"render": 0.2, "detect": 0.2, "control": 0.05, "record": 0.05, "rest": 0.5}
     )
-    assert row["ratio_to_plain_aruco"] == pytest.approx(2.0)  # OpenCV takes twice as long
+    assert row["ratio_to_plain_aruco"] == pytest.approx(2.0)  # twice the time of OpenCV
 
 
-def test_versions_alternate_and_the_order_changes(against, monkeypatch, tmp_path):
+def test_versions_alternate_in_changing_order(against, monkeypatch, tmp_path):
     called = []
 
     def measured(version, name, duration_s, *, whole):
@@ -69,7 +69,7 @@ def test_versions_alternate_and_the_order_changes(against, monkeypatch, tmp_path
 
 @pytest.fixture
 def repository(tmp_path):
-    """A repository with a version `old` of a package skyherd, part of it elsewhere, and a version without."""
+    """Return a repository with a tag `old` of a package skyherd in two folders, and a tag `none` without."""
     folder = tmp_path / "repository"
 
     def git(*words):
@@ -106,8 +106,8 @@ def run_steps(mission):
     return folder
 
 
-def test_another_version_is_unpacked_run_and_removed(against, unpacked, repository):
-    """The working folder, which is another version still, is neither used nor changed."""
+def test_other_version_is_unpacked_run_and_removed(against, unpacked, repository):
+    """The working folder, which has a third version, is neither used nor changed."""
     before = sorted(path for path in repository.rglob("*") if path.is_file())
     with unpacked("old", repository) as folder:
         row = against._measure(folder, "star", 2.0, whole=False)
@@ -127,7 +127,7 @@ def test_another_version_is_unpacked_run_and_removed(against, unpacked, reposito
         ("--help", "begins with a hyphen"),
     ],
 )
-def test_a_version_that_is_not_there_is_refused(unpacked, repository, reference, said):
+def test_missing_version_is_refused(unpacked, repository, reference, said):
     with pytest.raises(InputError, match=said), unpacked(reference, repository):
         pass
 
@@ -142,15 +142,15 @@ def test_a_version_that_is_not_there_is_refused(unpacked, repository, reference,
         (["--against", "v1", "--repository", "/"], "--against v1: fatal: not a git repository"),
     ],
 )
-def test_bad_options_are_refused_in_one_line(loop, tmp_path, monkeypatch, capsys, words, said):
+def test_invalid_options_are_refused_in_one_line(loop, tmp_path, monkeypatch, capsys, words, said):
     monkeypatch.chdir(tmp_path)
     code, err = loop.main(words), capsys.readouterr().err
     assert code == 2 and said in err and len(err.splitlines()) == 1
     assert not list(tmp_path.iterdir())
 
 
-def test_the_script_leaves_tables_and_json(loop, against, tmp_path, monkeypatch, capsys):
-    """With another version that is a stand-in: it takes half as long."""
+def test_script_writes_tables_and_json(loop, against, tmp_path, monkeypatch, capsys):
+    """A stand-in that takes half as long replaces the other version."""
     row = {"step: clock, ms": 8.0, "step: processor, ms": 6.0, "places": "p"}
     monkeypatch.setattr(
         against, "_measure", lambda version, *_, **__: {

@@ -1,4 +1,4 @@
-"""`benchmarks/same_messages.py`: recordings of one seed are equal; a difference is named by its topic."""
+"""`benchmarks/same_messages.py`: equal recordings of one seed, and differences by topic."""
 
 import pytest
 
@@ -41,7 +41,7 @@ def test_recordings_of_two_seeds_differ_from_the_first_image(same_messages, topi
     assert not any(line.startswith("/end") for line in lines)
 
 
-def test_missing_topic_and_missing_message_are_told(same_messages):
+def test_missing_topic_and_message_are_reported(same_messages):
     whole = {"/a": same_messages.Topic(2, ("x", "y")), "/b": same_messages.Topic(1, ("z",))}
     part = {"/a": same_messages.Topic(1, ("x",))}
     assert same_messages.differences(whole, part) == [

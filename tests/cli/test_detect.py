@@ -1,4 +1,4 @@
-"""`skyherd detect`, in process: what it leaves, says and refuses."""
+"""`skyherd detect`, in process: files, output and refused input."""
 
 import csv
 import json

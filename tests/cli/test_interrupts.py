@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: one line, what is half made is removed, and the exit code says which it was."""
+"""Ctrl-C and SIGTERM: one line, removal of partial output, and the exit code of the signal."""
 
 import os
 import signal
@@ -105,7 +105,7 @@ def test_run_interrupted_before_first_step_leaves_nothing(tmp_path, monkeypatch,
 
 
 def test_sigterm_of_another_process_removes_partial_output(tmp_path):
-    """A video of 8000 frames, ended in its middle, however slowly this process gets to it."""
+    """The signal ends a video of 8000 frames before its last frame, also on a slow machine."""
     size = (320, 240)
     writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25, size)
     for _ in range(8000):

@@ -1,4 +1,4 @@
-"""Names of files may be anything: no verb stumbles over one, and no table or terminal obeys it."""
+"""Arbitrary file names: verbs accept them, and tables and terminals show them without interpretation."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""No verb replaces or removes a file that it did not make, whatever --out and --force say."""
+"""No verb replaces or removes a file that it did not make, for any --out and --force."""
 
 import hashlib
 import os
@@ -195,7 +195,7 @@ def test_photograph_measurement_refuses_foreign_files(here, capsys, measure):
 
 
 def test_photograph_measurement_never_replaces_its_input(here, capsys, measure):
-    """The folder itself keeps every file, and pictures that skyherd made are not replaced while looked at."""
+    """The folder keeps all files, and measured pictures that skyherd made are not replaced."""
     taken = hashes(here / "in")
     assert_untouched(here, capsys, *measure, "--out", "in")
     assert call(capsys, *measure, "--out", "in", "--force")[0] == 0
@@ -207,7 +207,7 @@ def test_photograph_measurement_never_replaces_its_input(here, capsys, measure):
 
 
 def test_set_and_photograph_names_can_be_any_text(here, capsys, measure):
-    """They are drawn and written, and are no formulas in either."""
+    """Figures and tables show the names as text, not as formulas."""
     _, data = cv2.imencode(".png", np.full((40, 60), 90, np.uint8))
     for name in ("=cmd().png", "\x1b[31m.png", "$\\frac$.png", os.fsdecode(b"\xff.png")):
         (here / "in" / name).write_bytes(data.tobytes())

@@ -1,4 +1,4 @@
-"""What the command line prints of wrong input: a line for each problem, the option as the place."""
+"""Errors of the command line: one line per problem, with the option that caused it."""
 
 import pytest
 from command_line import assert_refused, call

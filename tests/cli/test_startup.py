@@ -1,4 +1,4 @@
-"""What is loaded by `import skyherd` and by asking for help; the entrance's names; shell completion."""
+"""Modules loaded by `import skyherd` and by help, public names, and shell completion."""
 
 import ast
 import importlib
@@ -34,7 +34,7 @@ HEAVY = (
     "dask",
     "pyarrow",
 )
-"""Modules that take long to import, rich among them: only few verbs have progress bars and tables."""
+"""Modules that are slow to import, including rich: few verbs have progress bars and tables."""
 
 VERBS = [
     [],
@@ -69,7 +69,7 @@ def test_package_import_loads_no_heavy_module():
 
 
 def test_help_loads_no_heavy_module():
-    """Of one verb after the other in one process: what is loaded stays so, the first to load it is told."""
+    """One process runs all verbs, since loaded modules stay; the first verb that loads one is reported."""
     helps = [
         f"from skyherd.__main__ import main; sys.argv[1:] = {[*verb, '--help']}; main()" for verb in VERBS
     ]
@@ -80,12 +80,12 @@ def test_help_loads_no_heavy_module():
 
 
 def test_check_of_loaded_modules_detects_numpy():
-    """A negative control: a name of the entrance does load NumPy when it is used."""
+    """Negative control: access to a public name loads NumPy."""
     assert {"numpy", "scipy"} <= loaded_by("import skyherd; skyherd.Template")[0]
 
 
 def test_live_modules_load_no_matplotlib():
-    """A live process is started on small computers, and Matplotlib is for figures alone."""
+    """Live processes start on small computers, and only figures need Matplotlib."""
     datasets, unit = loaded_by("import skyherd.datasets", "import skyherd.live.unit_process")
     assert "numpy" in datasets
     assert "matplotlib" not in datasets | unit
@@ -126,10 +126,10 @@ def test_type_checkers_see_equal_names_from_equal_modules():
 
 
 def test_no_module_imports_the_top_package():
-    """It would load what it needs through a detour, and close a circle."""
+    """Such an import would be circular."""
     for path in SOURCE_FILES.values():
         if not re.search(r"from\s+skyherd\s+import|import\s.*\bskyherd\b(?![.\w])", path.read_text("utf-8")):
-            continue  # what it says is spared its tree, which takes most of the time
+            continue  # parse only files with this text, since parsing takes most of the time
         for node in ast.walk(syntax_tree(path)):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             assert "skyherd" not in names, path

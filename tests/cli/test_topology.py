@@ -1,4 +1,4 @@
-"""`skyherd topology`, in process: what it says, what it leaves, what it refuses."""
+"""`skyherd topology`, in process: output, files and refused input."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ def call(capsys, *arguments) -> tuple[int, str, str]:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory, ideal_failure) -> Path:
-    """The mission `failure` until a while after unit 0's death, on exact points."""
+    """Return a recorded run of the mission `failure` until after unit 0's death, on exact points."""
     folder = tmp_path_factory.mktemp("run")
     mission, steps = ideal_failure
     with McapRecorder(folder / "run.mcap", mission, images=False) as recorder:

@@ -1,4 +1,4 @@
-"""The command line, in process: what it leaves, what it refuses, and its exit codes."""
+"""Command line, in process: files, refused input and exit codes."""
 
 import errno
 import json
@@ -22,7 +22,7 @@ SHORT = ["--perception", "ideal", "--no-video", "--set", "duration_s=1.0"]
 
 @pytest.fixture(autouse=True)
 def few_figures(monkeypatch):
-    """Runs leave one figure: drawing all takes longer than the run. That all are drawn, `plots` tests."""
+    """Limit runs to one figure, since drawing all takes longer than the run; tests/plots checks all."""
     monkeypatch.setattr(panels, "PANELS", PANELS[1:2])
 
 
@@ -68,7 +68,7 @@ def test_run_writes_all_documented_files(tmp_path, capsys, monkeypatch, figures)
     code, said, _ = call(
         capsys, "run", "star", "--out", out, "--perception", "ideal", "--set", "duration_s=1.0"
     )
-    assert code == 1  # a second is not enough to reach the shape
+    assert code == 1  # One second is too short to reach the shape.
     assert "NOT reached" in said
     assert {entry.name for entry in out.iterdir()} == {
         ".skyherd.json", "run.mcap", "video.mp4", "figures", "summary.json", "report.html",
@@ -83,7 +83,7 @@ def test_run_writes_all_documented_files(tmp_path, capsys, monkeypatch, figures)
 
 @pytest.mark.smoke
 def test_reached_shape_has_exit_code_0(tmp_path, capsys):
-    """A goal so wide that the start is within it."""
+    """The goal's tolerance includes the start."""
     wide = ["--set", "goal.shape_error=9", "--set", "goal.hold_s=0.5"]
     code, said, _ = call(capsys, "run", "triangle", "--out", tmp_path / "run", *SHORT, *wide)
     assert code == 0
@@ -190,7 +190,7 @@ def test_disk_that_fills_up_during_run_is_one_line(tmp_path, capsys, monkeypatch
         call(capsys, "run", "star", "--out", out, "--perception", "ideal", "--set", "duration_s=1.0"),
         f"{out}: No space left",
     )
-    assert not out.exists()  # not one step was recorded
+    assert not out.exists()  # No step was recorded.
 
 
 @pytest.mark.usefixtures("few_figures")
@@ -293,7 +293,7 @@ def test_killed_run_still_has_figures(tmp_path, capsys):
         time.sleep(0.05)
     os.kill(run.pid, signal.SIGKILL)
     run.wait()
-    assert not (out / "video.mp4").exists()  # half a video is not left looking whole
+    assert not (out / "video.mp4").exists()  # No partial video remains.
     code, _, err = call(capsys, "report", out)
     assert code == 0
     assert "cut short" in err
@@ -304,7 +304,7 @@ def test_killed_run_still_has_figures(tmp_path, capsys):
 
 
 def test_interrupt_during_loading_ends_program():
-    # A finder that is asked for skyherd.cli stands for the user's Ctrl-C at that moment.
+    # An import finder raises the user's Ctrl-C while skyherd.cli is imported.
     interrupt = """
 import runpy, sys
 class Interrupt:

@@ -1,4 +1,4 @@
-"""Locks on folders: held by a living process, left by a killed one, and on file systems without locks."""
+"""Folder locks: exclusive, released by killed processes, and optional on file systems without locks."""
 
 import errno
 import subprocess
@@ -22,7 +22,7 @@ lock.release()
 
 
 def holder(folder, hold_s):
-    """A process that has locked a folder."""
+    """Start a process that holds the lock of a folder for a time, and return it."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLD, str(folder), str(hold_s)], stdout=subprocess.PIPE, text=True
     )
@@ -30,7 +30,7 @@ def holder(folder, hold_s):
     return process
 
 
-def test_held_lock_refuses_and_its_end_admits(tmp_path):
+def test_lock_is_exclusive_until_its_process_ends(tmp_path):
     lock = FolderLock()
     with holder(tmp_path, 0.5) as process:
         started_s = time.monotonic()
@@ -63,8 +63,8 @@ def test_release_removes_the_lock_file_and_may_repeat(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_lock_on_removed_file_is_not_given(tmp_path):
-    """Two processes never both hold a folder, though the lock file is another one each time."""
+def test_lock_on_removed_file_is_not_acquired(tmp_path):
+    """Three processes never hold the folder at the same time, although each release removes the lock file."""
     code = """
 import os, sys, time
 from pathlib import Path
@@ -83,7 +83,7 @@ for _ in range(40):
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOSYS])
-def test_file_system_without_locks_lets_every_process_in(tmp_path, monkeypatch, number):
+def test_file_system_without_locks_does_not_refuse(tmp_path, monkeypatch, number):
     def acquire(self, **_):
         raise OSError(number, "no locks")
 

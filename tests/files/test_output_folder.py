@@ -1,4 +1,4 @@
-"""Output folders: own files are known, and foreign files are never replaced or removed."""
+"""Output folders: a record of own files, and protection of foreign files."""
 
 import json
 import os
@@ -19,7 +19,7 @@ NAMES = ["a.txt", "figures/b.txt"]
 
 
 def make(folder: Path, content: str = "made", *, verb: str = "run", names=NAMES, **options) -> None:
-    """Act as a verb: claim names, and write a file of each."""
+    """Act as a verb: claim names, and write a file for each."""
     with OutputFolder(folder, verb, names, **options):
         for name in names:
             (folder / name).parent.mkdir(exist_ok=True)
@@ -184,7 +184,7 @@ def test_second_process_is_rejected_with_name_of_first(tmp_path):
 
 
 def test_folder_taken_by_another_in_between_is_never_removed(tmp_path, monkeypatch):
-    """Made here, locked by another process before this one could: it is the other's from then on."""
+    """Another process locks the new folder first, and owns it from then on."""
     out = tmp_path / "new" / "out"
     output = OutputFolder(out, "run", NAMES, resume=True)
     monkeypatch.setattr(FolderLock, "acquire", lambda self, folder, wait_s: False)
@@ -318,7 +318,7 @@ def test_record_that_the_body_removed_is_no_error(tmp_path):
         ({"elsewhere": "go"}, "move it away, or go"),
     ],
 )
-def test_complaint_advises_what_the_verb_says(tmp_path, options, advice):
+def test_refusal_has_the_advice_of_the_verb(tmp_path, options, advice):
     (tmp_path / "a.txt").write_text("mine")
     with pytest.raises(InputError) as refused:
         make(tmp_path, resume=True, **options)
@@ -329,7 +329,7 @@ PART = ".skyherd-0123456789abcdef.part"
 
 
 def test_parts_are_removed_wherever_the_verb_writes(tmp_path):
-    """At the start and at the end, in folders of claimed files and below claimed folders, nowhere else."""
+    """Partial files are removed at start and end, only beside claimed files and below claimed folders."""
     out = tmp_path / "out"
     names = ["a.txt", "figures/b.txt", "parts/"]
     folders = [out, out / "figures", out / "parts", out / "parts" / "deep" / "er"]
@@ -354,7 +354,7 @@ def test_parts_are_removed_wherever_the_verb_writes(tmp_path):
 
 @pytest.mark.parametrize("missing", [os.W_OK, os.X_OK, 0])
 def test_folder_without_the_right_to_write_is_refused(tmp_path, monkeypatch, missing):
-    """The rights to write and to search are both asked for; root has all, so that the answer is made."""
+    """Write and search permissions are required. The test replaces `os.access`, since root has all."""
     monkeypatch.setattr(os, "access", lambda path, mode: not mode & missing)
     if not missing:
         make(tmp_path / "out")
@@ -372,7 +372,7 @@ def test_disk_failure_at_end_is_reported_and_releases_lock(tmp_path, monkeypatch
         (tmp_path / "out" / "a.txt").write_text("made")
         monkeypatch.setattr("skyherd.files.output_folder.write_record", full)
     monkeypatch.undo()
-    # An error of the body is more telling than that of the disk.
+    # An error of the body has priority over that of the disk.
     with pytest.raises(KeyError), OutputFolder(tmp_path / "out", "run", NAMES, resume=True) as output:
         output.keep()
         monkeypatch.setattr("skyherd.files.output_folder.write_record", full)
@@ -394,7 +394,7 @@ def test_record_that_cannot_be_written_leaves_no_new_folder(tmp_path, monkeypatc
     make(tmp_path / "new" / "out")
 
 
-def test_waiting_for_the_other_process_is_for_so_long(tmp_path, monkeypatch):
+def test_wait_for_the_other_process_ends_at_the_timeout(tmp_path, monkeypatch):
     waits = []
     acquire = FolderLock.acquire
     monkeypatch.setattr(
@@ -407,7 +407,7 @@ def test_waiting_for_the_other_process_is_for_so_long(tmp_path, monkeypatch):
     assert waits == [0.0, 7.5]
 
 
-def test_claimed_folder_is_the_verb_s_throughout(tmp_path):
+def test_claimed_folder_belongs_to_the_verb_entirely(tmp_path):
     out = tmp_path / "out"
     with OutputFolder(out, "run", ["parts/"]):
         (out / "parts").mkdir()
@@ -429,14 +429,14 @@ def test_claimed_folder_is_the_verb_s_throughout(tmp_path):
 
 @pytest.mark.parametrize("number", range(8))
 def test_any_other_content_counts_as_changed(tmp_path, number):
-    """Digests that are larger and smaller than the recorded one."""
+    """The contents have digests above and below the recorded one."""
     make(tmp_path / "out")
     (tmp_path / "out" / "a.txt").write_text(f"edited {number}")
     with pytest.raises(InputError, match="was changed since skyherd made it"):
         make(tmp_path / "out", "again", force=True)
 
 
-def test_changed_files_stay_and_are_the_user_s_from_then_on(tmp_path):
+def test_changed_files_stay_and_belong_to_the_user(tmp_path):
     """A former file that was changed is neither removed nor kept in the record."""
     out = tmp_path / "out"
     make(out, names=["a.txt", "old.txt", "older.txt"])

@@ -1,4 +1,4 @@
-"""Every reader of files, given damaged ones through the verbs: a result or one line, and nothing else."""
+"""Damaged files for each reader, through the verbs: a result or a one-line error."""
 
 import functools
 import io
@@ -42,7 +42,7 @@ PICTURES = {
     "webp": "webp",
     "ppm": "ppm",
 }
-"""Pillow's names of formats, by the ending of a file's name."""
+"""Pillow's format names, by the suffix of a file."""
 
 
 @functools.cache
@@ -85,7 +85,7 @@ def study_part() -> bytes:
 
 @fuzzed(6, kind=st.sampled_from(sorted(PICTURES)), data=st.data())
 def pictures(kind, data):
-    """`detect`, and a scenario's template image."""
+    """Check `detect` and a scenario's template image."""
     with playground() as folder:
         Path(f"a.{kind}").write_bytes(data.draw(damaged(picture(kind))))
         assert_well_behaved(folder, "detect", f"a.{kind}", "--detector", "opencv")
@@ -115,7 +115,7 @@ def settings_of_scenarios(key, value):
 
 @fuzzed(8, data=st.data())
 def recordings(data):
-    """The reader alone: what it makes of a whole step is a report's, and has its own tests."""
+    """Check only the reader; reports of complete steps have tests of their own."""
     with playground():
         Path("run.mcap").write_bytes(data.draw(damaged(recording())))
         refusal(lambda: read_recording(Path("run.mcap")))
@@ -184,7 +184,7 @@ first_id = 0
 name = "desk"
 degree = 2
 """
-"""Sets of photographs, with every key."""
+"""Photograph sets with all keys."""
 
 
 @fuzzed(4, verb=st.sampled_from(["photographs", "boards"]), data=st.data())
@@ -209,7 +209,7 @@ test_sets_of_photographs, test_sets_of_photographs_long = sets_of_photographs
 
 
 @pytest.mark.parametrize("verb", [["run"], ["topology"], ["study"], ["dataset", "make"]], ids=" ".join)
-def test_every_verb_refuses_pipes_and_devices(verb):
+def test_each_verb_refuses_pipes_and_devices(verb):
     with playground() as folder:
         os.mkfifo("a.toml")
         for name in ("a.toml", "/dev/zero", "."):

@@ -1,4 +1,4 @@
-"""What `import skyherd` offers, given nonsense: an object, an error of skyherd's own, or a TypeError."""
+"""Public names with invalid arguments: an object, an error of skyherd, or a TypeError."""
 
 import contextlib
 import importlib
@@ -28,7 +28,7 @@ ARRAYS = arrays.arrays(
     st.sampled_from([np.float64, np.int64, np.complex128, np.uint8, np.bool_]),
     arrays.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4),
 )
-"""Arrays of any shape, with NaN and infinity where there are such."""
+"""Arrays of any shape, with NaN and infinity if the type has them."""
 
 ANYTHING = SCALARS | ARRAYS | st.lists(SCALARS, max_size=3) | st.dictionaries(SCALARS, SCALARS, max_size=2)
 
@@ -44,7 +44,7 @@ CALLED = (
     "read_dataset", "read_recording", "robot_commands",
     "shape_points",
 )  # fmt: skip
-"""Names of the entrance that are called; the others take objects that these make, or nothing."""
+"""Public names that are called; the others take objects that these return, or nothing."""
 
 
 @st.composite
@@ -74,7 +74,7 @@ test_entrance, test_entrance_long = entrance
 
 @fuzzed(8, image=ANYTHING, name=st.sampled_from(["photometric", "opencv"]))
 def images(image, name):
-    """`detect(None)`, and arrays that are no grey images."""
+    """Check `detect(None)`, and arrays that are not grey images."""
     detector = skyherd.create_detector(name)
     refusal(lambda: detector.detect(image))
 
@@ -110,8 +110,8 @@ INTERNAL = {
     "refuse_other_kind",
     "source_text",
 }
-"""Names of `skyherd.datasets` by which labs and studies read their files as scenarios are read. Users call
-`load_mission` and its like, which check what they are given."""
+"""Names of `skyherd.datasets` with which labs and studies read their files. Users call functions such as
+`load_mission`, which check their arguments."""
 
 
 def is_left_out(target):
@@ -139,11 +139,11 @@ SAME = (
     None, True, 3, 2**70, "x", Path("nowhere"), np.zeros(0), np.ones(2), np.ones((2, 2)), np.array(3), [1, 2],
     [None], {}, {1: 2}, object(),
 )  # fmt: skip
-"""Values that stand for all arguments that a callable needs, one at a time."""
+"""Values that replace all required arguments of a callable, one at a time."""
 
 
 def call_as_nonsense(target, values):
-    """Call with these values in turn for the required arguments; an AttributeError passes through."""
+    """Call with these values in turn for the required arguments; only an AttributeError propagates."""
     parameters = [
         parameter
         for parameter in inspect.signature(target).parameters.values()
@@ -165,7 +165,7 @@ def call_as_nonsense(target, values):
 
 @pytest.mark.parametrize("name", CALLABLES)
 def test_nonsense_arguments_give_no_attribute_error(name):
-    """Each value for all arguments, and mixtures of them from a fixed seed."""
+    """Each value replaces all arguments, and mixtures are drawn from a fixed seed."""
     rng = np.random.default_rng(7)
     for value in SAME:
         call_as_nonsense(CALLABLES[name], [value])
@@ -173,6 +173,6 @@ def test_nonsense_arguments_give_no_attribute_error(name):
         call_as_nonsense(CALLABLES[name], [SAME[k] for k in rng.integers(len(SAME), size=6)])
 
 
-def test_check_notices_attribute_error_of_nonsense():
+def test_check_detects_attribute_error_of_nonsense():
     with pytest.raises(AttributeError):
         call_as_nonsense(lambda seen: seen.ids, [3])

@@ -1,4 +1,4 @@
-"""JSON of any depth, values of other types, and texts that are not UTF-8: a result or one line, never more.
+"""JSON of any depth, values of other types, and texts that are not UTF-8: a result or a one-line error.
 
 `SKYHERD_FUZZ_EXAMPLES=5 pytest -m slow tests/fuzz/test_fuzz_types.py` tries 6,000 cases.
 """
@@ -33,7 +33,7 @@ SET_VERBS = (
     ("run", "triangle", "--out", "out"),
     ("live", "check", "webcams", "--no-cameras"),
 )
-"""Verbs that take `--set`."""
+"""Verbs with the option `--set`."""
 
 
 def scenario_tree(name: str) -> dict:
@@ -46,7 +46,7 @@ def lab_tree(name: str) -> dict:
 
 @fuzzed(12, file=st.sampled_from(["spec.json", "annotations/train.json"]), data=st.data())
 def json_of_labelled_sets(file, data):
-    """Levels without end, and values of other types below keys that are right."""
+    """Check very deep JSON, and values of other types below valid keys."""
     with playground() as folder:
         for name, content in labelled_set().items():
             Path("set", name).parent.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def json_of_labelled_sets(file, data):
 
 @fuzzed(10, data=st.data())
 def records_of_folders(data):
-    """The record of an output folder, which every verb reads before it writes."""
+    """Check the record of an output folder, which each verb reads before it writes."""
     good = {
         "about": "x",
         "skyherd": "0",
@@ -84,7 +84,7 @@ def settings_that_are_not_utf8(key, value, verb):
 
 @fuzzed(20, name=st.sampled_from(scenario_names()), data=st.data())
 def types_of_scenario_values(name, data):
-    """Values of other types below keys that are right, in the tree of a scenario."""
+    """Check values of other types below valid keys, in the tree of a scenario."""
     good = json.dumps(scenario_tree(name)).encode()
     tree = json.loads(data.draw(other_values(good, TREE_DEPTHS)))
     refusal(lambda: make_mission(tree))
@@ -98,7 +98,7 @@ def types_of_lab_values(name, data):
 
 @fuzzed(6, data=st.data())
 def results_of_benchmarks(data):
-    """`bench.json`, from which pages are made."""
+    """Check `bench.json`, the input of benchmark pages."""
     good = {"environment": {"seed": 1}, "rows": [{"detector": "opencv", "blur_px": 0.5}], "timing": []}
     with playground():
         Path("bench.json").write_bytes(data.draw(other_values(json.dumps(good).encode()) | deep_json()))

@@ -1,4 +1,4 @@
-"""Every verb, given options that mean nothing: a result or one line, and nothing else."""
+"""Meaningless options for each verb: a result or a one-line error."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ WORDS = (
     ".", "/", "/dev/zero", "/dev/null", "mine.txt", "mine.txt/below", "4X4_50", "photometric", "os:getcwd",
     "os:nothing", "a:b:c", ":", "http://x/", "tls://127.0.0.1:1", "tcp://127.0.0.1:1", "ucx://x", "A4", "csv",
 )  # fmt: skip
-"""Values of options that take texts."""
+"""Values of options with texts."""
 
 TEXTS = st.sampled_from(WORDS) | st.text(st.characters(codec=None), max_size=12)
 NUMERALS = st.sampled_from(NUMBERS)
@@ -58,7 +58,7 @@ VERBS = {
         {"": TEXTS, "--sets": TEXTS, "--detector": TEXTS, "--only": TEXTS, "--out": TEXTS}, ("--force",)
     ),
 }  # fmt: skip
-"""Of each verb its argument (without a name) and options, with what they may be given; and its flags."""
+"""Positional argument (without a name), options with their values, and flags, by verb."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -82,7 +82,7 @@ def command_lines(draw):
 
 @fuzzed(20, arguments=command_lines())
 def verbs(arguments):
-    """A benchmark never starts: a valid one would take minutes."""
+    """Check all verbs; benchmarks get an invalid detector, since a valid one would take minutes."""
     if arguments[:2] == ["bench", "detectors"]:
         arguments += ["--detectors", "no-such-detector"]
     with playground() as folder:
@@ -95,7 +95,7 @@ test_verbs, test_verbs_long = verbs
 
 @fuzzed(3, seed=NUMERALS, out=st.sampled_from(["out", "mine.txt", ".", "a/b/c", "a\0b", "\udcff", "n" * 300]))
 def runs(seed, out):
-    """A whole run, of a tenth of a second."""
+    """Check whole runs of a tenth of a second."""
     short = ["--perception", "ideal", "--no-video", "--set", "duration_s=0.1"]
     with playground() as folder:
         assert_well_behaved(folder, "run", "triangle", "--seed", seed, "--out", out, *short)

@@ -1,4 +1,4 @@
-"""Calls of the command line in this process, and what a refusal looks like."""
+"""Calls of the command line in this process, and checks of refusals."""
 
 import pytest
 

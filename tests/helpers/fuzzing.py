@@ -1,7 +1,7 @@
-"""Shared parts of the fuzzing suite: randomly damaged inputs, and rules that the command line never breaks.
+"""Shared parts of the fuzz tests: randomly damaged inputs, and invariants of the command line.
 
-Each check is run twice: with few examples that are always the same among the fast tests, and with many that
-are always others behind `-m slow` (`SKYHERD_FUZZ_EXAMPLES` times as many, 1 if it is not set).
+Each check has a fast test with few fixed examples, and a slow test (`-m slow`) with many random ones.
+`SKYHERD_FUZZ_EXAMPLES` multiplies the number of the latter.
 """
 
 import contextlib
@@ -27,20 +27,19 @@ from skyherd.cli import main
 from skyherd.errors import MAX_PROBLEMS, InputError, SkyherdError
 
 MAX_CHARACTERS = 500
-"""Length of the longest line that a refusal may have."""
+"""Maximum length of a line of a refusal, characters."""
 
 MAX_LINES = MAX_PROBLEMS + 1
-"""Lines of the longest refusal: one for each problem, and one that counts the rest."""
+"""Maximum number of lines of a refusal: one per problem, and one that counts the rest."""
 
 LATEST_S = 5.0
-"""Processor time in which everything that is refused has to be refused, s. It is no wall time: how busy the
-machine is does not count."""
+"""Maximum processor time of a refusal, s. Unlike wall time it does not depend on the load of the machine."""
 
 FOR_EVER_S = 900.0
-"""Wall time after which a call counts as one that waits for ever, as a reader of a pipe does, s."""
+"""Wall time after which a call counts as blocked for ever, such as by reading a pipe, s."""
 
 MANY = 200 * int(os.environ.get("SKYHERD_FUZZ_EXAMPLES", "1"))
-"""Examples of each check among the slow tests."""
+"""Number of examples of each slow test."""
 
 NASTY_VALUES = (
     "0", "-1", "1e308", "-1e308", "1e-320", "1e-9", "nan", "inf", "-inf", "9223372036854775808", "1e999",
@@ -48,7 +47,7 @@ NASTY_VALUES = (
     "[nan, nan]", "[1e308, -1e308]", "[1, 2, 3]", '"' + "x" * 3000 + '"', "1979-05-27", "0.5", "1", "2", "3",
     "1000000",
 )  # fmt: skip
-"""TOML values that mean nothing, or too much, somewhere."""
+"""TOML values that are invalid or extreme for some keys."""
 
 SETTABLE = (
     "seed", "duration_s", "step_s", "control.k", "control.b_th", "units.0.yaw_deg", "units.*.height_m",
@@ -57,25 +56,25 @@ SETTABLE = (
     "selection.kind", "ground.kind", "ground.image", "template.image", "detector", "units.9", "a.b.c",
     "units.-1",
 )  # fmt: skip
-"""Keys of a scenario, and some that are none."""
+"""Keys of a scenario, and some invalid ones."""
 
 FOREIGN_TEXTS = ("\udcff", '"\udcff"', "\ud800", '"a\udc80b"', "['\udcff']", "{ a = '\udcff' }")
-"""Texts that are not UTF-8, as bytes on the command line become them, and as values of TOML."""
+"""Texts that are not UTF-8, as decoded from the command line, and as values of TOML."""
 
 OTHER_TYPES = (
     None, True, 0, -1, 1e308, "", "x", "\ud800", "\udcff", [], [[]], [1], ["x"], {}, {"x": 1}, [{}], 10**400,
     {"preset": [1]}, [None], float("nan"),
 )  # fmt: skip
-"""Values of JSON and of Python, most of which are of another type than is expected."""
+"""Values of JSON and Python, most of an unexpected type."""
 
 DEPTHS = (10, 70, 900, 5000, 100_000)
-"""Levels of lists and objects within each other: few, too many, and more than the interpreter's stack has."""
+"""Nesting depths of lists and objects: few, too many, and more than the interpreter's stack allows."""
 
 TREE_DEPTHS = (10, 70, 300)
-"""Levels of values that a test itself makes of JSON."""
+"""Nesting depths of JSON that a test itself decodes."""
 
 NUMBER = re.compile(rb"(?<== )[^\n]+|-?\d+(\.\d+)?")
-"""Values of a TOML file, whole or a number of a list."""
+"""Pattern of a value of a TOML file, or of a number in a list."""
 
 
 @st.composite
@@ -117,7 +116,7 @@ def nonsense(draw: Any, text: bytes) -> bytes:
 
 
 def nested(levels: int, kind: str = "[") -> str:
-    """Return a JSON text of so many levels; with the kind `[...` or `{...` it is not closed."""
+    """Return a JSON text with a nesting depth; kinds `[...` and `{...` leave it unclosed."""
     begin = "[" if kind[0] == "[" else '{"a":'
     return begin * levels + ("" if kind.endswith("...") else "1" + {"[": "]", "{": "}"}[kind[0]] * levels)
 
@@ -149,7 +148,7 @@ def other_values(draw: Any, data: bytes, depths: Sequence[int] = DEPTHS) -> byte
 
 
 def deep_json() -> st.SearchStrategy[bytes]:
-    """Draw JSON texts that consist of levels only."""
+    """Return a strategy of JSON texts that consist of nesting only."""
     kinds = st.sampled_from(["[", "{", "[...", "{..."])
     return st.builds(nested, st.sampled_from(DEPTHS), kinds).map(str.encode)
 
@@ -157,7 +156,7 @@ def deep_json() -> st.SearchStrategy[bytes]:
 def fuzzed(
     fast: int, slow: int = MANY, **strategies: Any
 ) -> Callable[[Callable[..., None]], tuple[Any, Any]]:
-    """Make two tests of a check: a short one, always the same, and a long one, always another."""
+    """Return a decorator that makes two tests of a check: a fast fixed one, and a slow random one."""
 
     def make(check: Callable[..., None]) -> tuple[Any, Any]:
         quiet = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
@@ -204,7 +203,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 @contextlib.contextmanager
 def not_for_ever() -> Iterator[None]:
-    """Fail if the body does not end: a test that waits would never report."""
+    """Fail if the body takes longer than `FOR_EVER_S`."""
 
     def fail(*_: Any) -> None:
         raise AssertionError(f"not done after {FOR_EVER_S:g} s")
@@ -219,7 +218,7 @@ def not_for_ever() -> Iterator[None]:
 
 
 def refusal(call: Callable[[], object]) -> SkyherdError | None:
-    """Call a function and return its refusal, or None. A refusal is short and comes soon."""
+    """Call a function and return its refusal, or None. Check that a refusal is short and fast."""
     began_s = time.process_time()
     try:
         with not_for_ever():
@@ -251,10 +250,10 @@ def run(*arguments: Any) -> tuple[int, str]:
 
 
 def assert_well_behaved(folder: Path, *arguments: Any) -> int:
-    """Call the command line, check the rules for any input, and return the exit code.
+    """Call the command line, check its invariants for any input, and return the exit code.
 
-    Exit code 0, 1 or 2; of a refusal at most `MAX_LINES` short lines, soon, without a
-    traceback, and nothing new in the folder; and no file that was there is gone or changed.
+    The exit code is 0, 1 or 2, without a traceback. Existing files are unchanged. A refusal has at most
+    `MAX_LINES` short lines, is fast, and leaves no new file.
     """
     before = contents(folder)
     began_s = time.process_time()

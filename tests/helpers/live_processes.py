@@ -1,4 +1,4 @@
-"""What tests of real processes share: free ports, and patience."""
+"""Helpers for tests of real processes: free ports, and waiting with a timeout."""
 
 import socket
 import time

@@ -14,7 +14,7 @@ from skyherd.live.wire import Envelope, Heartbeat
 from skyherd.messages import Detections, MotionGoals
 
 BEGUN_S = 1.7e9
-"""The beginning, s since 1970, by the unit's clock."""
+"""Start of the run on the unit's clock, s since 1970."""
 
 
 def small_lab(robots: int = 3, cameras: int = 1) -> Lab:
@@ -32,20 +32,21 @@ def small_lab(robots: int = 3, cameras: int = 1) -> Lab:
 
 @dataclass
 class Script:
-    """A run of one unit and its robots as it is to be written.
+    """Scripted run of one unit and its robots, with known times.
 
     Attributes:
-        lab: the set-up.
-        images: number of images, `step_s` apart.
+        lab: the lab.
+        images: number of images.
         step_s: time between two images.
-        clock_offset_s: what the robots' clocks show more than the unit's.
-        first_s: when the first image is taken, since the beginning.
-        pause_s: how much longer it takes to the image in the middle.
-        compared: whether robots hear signs of life, by which clocks are compared.
-        stages_s: (images, 4) from capture to arrival, begin, found and sent.
-        radio_s: (images, robots) from there to the robot.
-        command_s: (images, robots) from there to its next decision.
-        reasons: why a robot stands still at an image; by robot, `driving` where it is left out.
+        clock_offset_s: lead of the robots' clocks over the unit's.
+        compared: whether heartbeats compare the clocks.
+        first_s: time of the first image since the start.
+        pause_s: additional time before the middle image.
+        seed: seed of the random times.
+        stages_s: (images, 4) durations from capture to arrival, begin, found and sent.
+        radio_s: (images, robots) durations from sent to the robot.
+        command_s: (images, robots) durations from there to the robot's next decision.
+        reasons: stop reason at each image, by robot; default `driving`.
     """
 
     lab: Lab = field(default_factory=small_lab)
@@ -160,7 +161,7 @@ class Script:
     def write_decision(self, process_log: ProcessLog, image: int, row: int, robot: int) -> None:
         """Write a robot's records of an image: a heartbeat of the unit, its goals, and a decision.
 
-        Signs of life take no time in either direction, so that the offset of the clocks is known exactly.
+        Heartbeats have no latency in either direction, so that the clock offset is known exactly.
         """
         name, offset_s = f"robot/{robot}", self.clock_offset_s
         unit_s = float(self.captured_s[image])

@@ -1,4 +1,4 @@
-"""What is asked of the built-in missions, from start to finish, however long and dense in images they are."""
+"""Requirements on the built-in missions, from start to finish, for any duration and frame rate."""
 
 import numpy as np
 

@@ -1,8 +1,7 @@
 """A small world for the tree protocol: units that see given robots, and a controllable radio.
 
-Nothing in it moves by itself. The caller decides when time passes, which unit takes an image, which robots
-each sees, and the fate of every message; `agreement`, `holders` and `edge_faults` describe the state at that
-instant. The world does not depend on how the units decide.
+The caller controls time, the images of units, the visible robots, and the fate of each message. `holders`,
+`in_p` and `edge_faults` describe the current state. The world does not depend on the units' decisions.
 """
 
 from collections import Counter
@@ -19,7 +18,7 @@ from skyherd.messages import Detections, UnitReport
 
 SIZE_PX = np.array([800, 800])
 Letter = tuple[int, UnitReport]
-"""A receiver and what is on its way to it."""
+"""Receiver and report of a message in transit."""
 
 
 @dataclass
@@ -27,14 +26,14 @@ class ProtocolWorld:
     """Units, robots, clock and radio.
 
     Attributes:
-        units: how many units,
-        robots: and robots there are.
+        units: number of units.
+        robots: number of robots.
         rule: settings of the protocol.
-        views: for each unit the robots that it sees, by distance from its image centre in half images.
-        make: what decides for a unit.
-        nodes: the living units' protocols.
-        waiting: letters on their way; a copy of one that was delivered may stay, and come again.
-        inbox: the last report to arrive at each unit from each other, new or old.
+        views: visible robots of each unit, with their distances from its image centre, half images.
+        make: factory of a unit's protocol.
+        nodes: protocols of the living units.
+        waiting: letters in transit; a copy of a delivered one may stay, and arrive again.
+        inbox: last report to arrive at each unit from each other one, new or old.
     """
 
     units: int
@@ -137,7 +136,7 @@ class ProtocolWorld:
             covariances=np.zeros((ids.size, 3, 3)),
         )
 
-    # --- what holds now ---
+    # --- current state ---
 
     def holders(self) -> Counter[int]:
         """Return the number of units that control each robot."""

@@ -1,4 +1,4 @@
-"""The source files of the package, by the full names of their modules, and what is in them."""
+"""Source files of the package, by the full names of their modules, and their syntax trees."""
 
 import ast
 from functools import cache

@@ -1,4 +1,4 @@
-"""Helpers answer in order, pass errors on, end with their maker, and leave signals to it."""
+"""Helpers: order of answers, errors, and the end with their parent."""
 
 import os
 import signal
@@ -41,7 +41,7 @@ def wait_until(true):
 
 
 class Adder:
-    """Sums of all requests, with the process id."""
+    """Server that returns the sum of all requests, and its process id."""
 
     def __init__(self):
         self.total = 0
@@ -56,7 +56,7 @@ class Adder:
 @pytest.mark.smoke
 def test_helper_answers_in_order_and_keeps_state():
     adder = Adder()
-    adder.add(100)  # before the fork: the helper has it as well
+    adder.add(100)  # Set before the fork, so that the helper inherits it.
     with Helper(adder.add, GONE, waiting=3) as helper:
         for number in range(5):
             helper.ask(number)
@@ -92,7 +92,7 @@ def test_unpicklable_error_is_reported():
 
 
 def test_pending_requests_do_not_block_maker():
-    """Each is larger than a pipe's buffer, so that the maker would block without a reader."""
+    """Each request is larger than a pipe's buffer, so that the parent would block without a reader."""
     release, image = threading.Event(), np.zeros(10**6, np.uint8)
 
     def hold(request):
@@ -129,7 +129,7 @@ def test_helper_leaves_signals_to_maker():
 
 @pytest.mark.parametrize("how", ["killed", "killed at work", "ended without closing"])
 def test_helpers_end_with_their_maker(how):
-    """Three helpers: later forks have copies of the earlier ones' pipes."""
+    """With three helpers, later forks inherit copies of the earlier ones' pipes."""
     code = f"""
 import time
 from skyherd.jobs.helpers import Helper

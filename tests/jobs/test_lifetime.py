@@ -16,16 +16,16 @@ from skyherd.jobs.lifetime import temporary_folder
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
 
 MARKER = "SKYHERD_TEST_MARKER"
-"""Variable of the environment by which a test knows the processes that it started."""
+"""Environment variable that identifies the processes of a test."""
 
 PATIENCE_S = 120.0
-"""Time after which a test gives up waiting for a process to begin, s. Chosen."""
+"""Timeout of the start of a process, s. Chosen."""
 
 END_S = 5.0
-"""Time in which all processes must end after a kill, s. Chosen: a thousand times what it takes."""
+"""Timeout of the end of all processes after a kill, s. Chosen: a thousand times the usual time."""
 
 QUIET_S = 1.5
-"""Time for which no file may appear afterwards, s. Chosen: a worker makes an image in less."""
+"""Time for which no file may appear afterwards, s. Chosen: longer than a worker takes for an image."""
 
 
 def marked(marker: str) -> set[int]:
@@ -70,8 +70,8 @@ VERBS = {
     "study": (["study", "noise", "--quick"], "study.json", True),
     "run": (["run", "star", "--no-video"], "run.mcap", False),
 }
-"""Of each verb that starts processes: its arguments, what it has written when they work, and whether its
-workers share named semaphores."""
+"""Verbs that start processes: arguments, files that exist once the processes work, and whether the workers
+share named semaphores."""
 
 
 @pytest.mark.slow
@@ -122,7 +122,7 @@ if __name__ == "__main__":
 
 @pytest.mark.parametrize("initializer", ["start_worker", "None"])
 def test_pool_workers_end_with_their_killed_parent(tmp_path, initializer) -> None:
-    """Without the initializer they stay, which shows that the test would see them."""
+    """Negative control: without the initializer the workers stay."""
     program, marker = tmp_path / "pool.py", uuid.uuid4().hex
     program.write_text(POOL.replace("initializer=start_worker", f"initializer={initializer}"))
     process = subprocess.Popen(

@@ -23,7 +23,7 @@ FROZEN = [
 ]
 
 SOME = [pytest.param(name, marks=pytest.mark.slow if name.startswith("6X6") else ()) for name in CODES]
-"""The smallest and the largest. `FROZEN` covers all; slow tests include those of 6x6 bits."""
+"""Smallest and largest dictionary. `FROZEN` covers all; slow tests include those of 6x6 bits."""
 
 
 def images_of(bits: np.ndarray, mirrored: bool) -> list[np.ndarray]:

@@ -1,4 +1,4 @@
-"""Names of marker dictionaries: skyherd's and OpenCV's, wherever one is given."""
+"""Names of marker dictionaries: skyherd's and OpenCV's are accepted everywhere."""
 
 import cv2
 import pytest

@@ -1,4 +1,4 @@
-"""The report's page, as text and in a browser."""
+"""Page of the report, as text and in a browser."""
 
 import dataclasses
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""Robots followed through videos whose truth is drawn: places, headings, shape errors, tables and folders."""
+"""Tracking of robots in drawn videos with ground truth: positions, headings, shape errors and files."""
 
 import csv
 
@@ -26,7 +26,7 @@ CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
 
 
 def draw(places_px, turns_rad):
-    """An image of markers 0, 1, … at places, each turned from upright by an angle from +u to +v."""
+    """Return an image of markers 0, 1, … at positions, each rotated from upright from +u to +v."""
     image = np.full(SIZE_PX[::-1], 190, np.uint8)
     for marker, ((u, v), turn) in enumerate(zip(places_px, turns_rad, strict=True)):
         card = np.full((CARD_PX, CARD_PX), 255, np.uint8)
@@ -52,13 +52,13 @@ def write(path, images, rate_hz=10):
 
 
 PLACES_PX = np.array([[80.0, 90], [240, 60], [400, 100], [120, 280], [360, 270]])
-"""Where the five robots of the video begin."""
+"""Initial positions of the five robots of the video, px."""
 
 STEP_PX = np.array([[4.0, 1], [0, 3], [-3, 2], [2, -4], [-1, -3]])
-"""How far they go from image to image."""
+"""Motion of the robots per image, px."""
 
 IMAGES = 6
-"""Of the video."""
+"""Number of images of the video."""
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def rows_of(path):
         return list(csv.DictReader(stream))
 
 
-def test_tracks_are_where_the_robots_were(video, tmp_path) -> None:
+def test_tracks_match_the_drawn_robots(video, tmp_path) -> None:
     track_videos([video], tmp_path / "out", detector="opencv-subpix", shape=named_shape("circle"))
     rows = rows_of(tmp_path / "out" / "tracks.csv")
     assert len(rows) == 5 * IMAGES
@@ -92,7 +92,7 @@ def test_tracks_are_where_the_robots_were(video, tmp_path) -> None:
         assert float(row["u_px"]) == pytest.approx(place_px[0], abs=0.6)
 
 
-def test_the_shape_error_is_that_of_the_places_drawn(video, tmp_path) -> None:
+def test_shape_error_matches_the_drawn_robots(video, tmp_path) -> None:
     track_videos([video], tmp_path / "out", detector="opencv-subpix", shape=named_shape("circle"))
     wanted = to_complex(shape_points("circle", 5))
     for k, row in enumerate(rows_of(tmp_path / "out" / "shape.csv")):
@@ -106,7 +106,7 @@ def test_the_shape_error_is_that_of_the_places_drawn(video, tmp_path) -> None:
 
 
 def detections(places_px, ids, tilt=0.0):
-    """Exact detections of upright markers, through a camera that is tilted about its u axis."""
+    """Return exact detections of upright markers by a camera tilted about its u axis."""
     places_px = np.asarray(places_px, dtype=float)
     corners = places_px[:, None, :] + SIDE_PX * CORNERS
     middle = (np.array(SIZE_PX) - 1) / 2
@@ -132,7 +132,7 @@ def detections(places_px, ids, tilt=0.0):
 
 
 @pytest.mark.smoke
-def test_the_camera_s_tilt_is_taken_off() -> None:
+def test_camera_tilt_is_rectified() -> None:
     points = shape_points("grid", 16)
     points = (points - points.mean(axis=0)) / np.abs(points - points.mean(axis=0)).max()
     places_px = points * (1, -1) * 120 + np.array(SIZE_PX) / 2
@@ -149,7 +149,7 @@ def test_the_camera_s_tilt_is_taken_off() -> None:
     assert shape_errors(tracks, template).errors[1:].max() < 0.01
 
 
-def test_few_robots_and_strangers() -> None:
+def test_errors_exclude_missing_unknown_and_repeated_ids() -> None:
     template = Template.from_ground_points(range(5), shape_points("circle", 5))
     places_px = shape_points("circle", 5) * (80, -80) + np.array(SIZE_PX) / 2
     tracks = GroundTracks("some")
@@ -175,7 +175,7 @@ def run(*arguments):
     return ended.value.code
 
 
-def test_the_verb(video, tmp_path, capsys) -> None:
+def test_track_writes_its_files_and_keeps_others(video, tmp_path, capsys) -> None:
     out = tmp_path / "out"
     empty = write(tmp_path / "empty.mp4", [np.full(SIZE_PX[::-1], 99, np.uint8)] * 2)
     assert run(video, empty, "--detector", "opencv", "--out", out) == 0
@@ -193,7 +193,7 @@ def test_the_verb(video, tmp_path, capsys) -> None:
 
 @pytest.mark.parametrize("shape", [[], ["--shape", "circle"]], ids=["alone", "shape"])
 @pytest.mark.parametrize("ids", [["--ids", "7"], []], ids=["strangers", "none"])
-def test_robots_that_are_not_seen_are_said_to_be_missing(video, tmp_path, capsys, shape, ids) -> None:
+def test_unseen_robots_are_reported_in_one_line(video, tmp_path, capsys, shape, ids) -> None:
     empty = write(tmp_path / "empty.mp4", [np.full(SIZE_PX[::-1], 99, np.uint8)] * 2)
     arguments = [video if ids else empty, *ids, *shape, "--detector", "opencv", "--out", tmp_path / "out"]
     assert run(*arguments) == 1

@@ -24,8 +24,7 @@ of `skyherd.geometry`."""
 
 SAMPLES = 64
 """Sample points along a side for the visible fraction. *Derived*: an edge across the marker passes through
-about 64 of 4096 cells, whose errors mostly cancel. The error is 0.002; twice as many cost four times as
-much."""
+about 64 of 4096 cells, whose errors mostly cancel: the error is 0.002."""
 
 
 @dataclass(frozen=True)

@@ -83,8 +83,8 @@ ROUNDING = 1.0 / 12.0
 def scanned_card(dictionary, marker_id, image_marker, pixels, sigma_px, black, white, ground):
     """Return grey levels (P,) at pixels (P, 2): exact along u on scan lines, summed along v.
 
-    On a scan line the card is piecewise constant between its crossings with the cells' edges, whatever the
-    homography, and a Gaussian over a constant piece is a difference of normal distributions.
+    On a scan line the card is piecewise constant between the cells' edges, for any homography. The integral
+    of a Gaussian over a constant piece is a difference of normal distribution functions.
     """
     cells = np.where(marker_cells(dictionary, marker_id), white, black)
     levels = np.pad(np.pad(cells, 1, constant_values=white), 1, constant_values=ground)

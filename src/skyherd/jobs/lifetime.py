@@ -40,8 +40,8 @@ REMOVER_S = 10.0
 def end_with_parent() -> None:
     """Make the system kill this process, created by multiprocessing, when its parent ends in any way.
 
-    Call it in the process's main thread, before any work. The thread that created the process must live as
-    long as the process is needed, since Linux sends the signal at the end of that thread.
+    Call it in the process's main thread, before any work. Linux sends the signal at the end of the thread
+    that created the process. That thread must therefore live as long as the process is needed.
     """
     parent = parent_process()
     if parent is None:

@@ -178,8 +178,8 @@ class LabRadio(Model):
         """Refuse a radio that other machines could use without certificates, unless `insecure` is True.
 
         Raises:
-            InputError: an address beyond loopback has no TLS with client certificates, an address is plain
-                although certificates are given, or some of the files for TLS are missing.
+            InputError: an address beyond loopback has no TLS with client certificates. Or certificates are
+                given, and an address is plain or a file for TLS is missing.
         """
         if insecure:
             return

@@ -32,8 +32,8 @@ from skyherd.render.camera.camera import (
 
 RADIAL_PER_SIGMA, RADIAL_LEAST = 0.5, 0.5
 ANGULAR_PER_SIGMA, ANGULAR_LEAST = 1.5, 3.0
-"""Cubature nodes along ρ² and θ: per σ (lens and pixel) of ray spread, plus a constant. *Measured*: with three
-times as many, pixels of a marker change by less than 0.3 grey levels of 200, and 0.03 RMS."""
+"""Cubature nodes along ρ² and θ: per σ (lens and pixel) of ray spread, plus a constant. *Measured*: with
+three times as many, pixels of a marker change by less than 0.3 grey levels of 200, and 0.03 RMS."""
 
 MAX_RAYS = 1024
 """Maximum number of rays. *Chosen*: enough for discs of a radius of about 30 σ; larger discs show single

@@ -20,8 +20,7 @@ from skyherd.vision.detectors.warm_up import warm_up
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
-from skyherd.vision.photometric.deferring import DeferringDetector
-from skyherd.vision.photometric.detector import PhotometricDetector
+from skyherd.vision.photometric.detector import DeferringDetector, PhotometricDetector
 
 __all__ = [
     "APRILTAG_FAMILIES",

@@ -254,7 +254,7 @@ def test_images_of_nothing_show_nothing(shape):
     for image in images:
         for detector in fresh_and_following():
             assert [len(detector.detect(image)) for _ in range(3)] == [0, 0, 0]
-            assert isinstance(detector.estimates[0].tracks, Tracks)
+            assert isinstance(detector.states[0].tracks, Tracks)
 
 
 @pytest.mark.parametrize(

@@ -24,8 +24,7 @@ from skyherd.plugins import import_factory
 from skyherd.text import one_of
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
 from skyherd.vision.grey import Image, check_grey
-from skyherd.vision.photometric.deferring import DeferringDetector
-from skyherd.vision.photometric.detector import PhotometricDetector
+from skyherd.vision.photometric.detector import DeferringDetector, PhotometricDetector
 
 DEFAULT_DETECTOR = "photometric"
 """Detector where none is named: it finds what OpenCV's does and more, and is the most precise."""

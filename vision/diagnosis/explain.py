@@ -128,7 +128,7 @@ def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detec
     What reaches the image's border and reads with a fault is left out, since the border may be its outline.
     """
     dictionary = detector.dictionary
-    first, second = detector.looks(image)
+    first, second = detector.searches(image)
     reach_px = REACH * card_side(dictionary) * detections.sides_px
 
     def is_known(corners_px: Array) -> bool:
@@ -180,7 +180,7 @@ def _failed_all_the_same(
         return None
     sigma_px = reading.blur_cells * float(reading.cell_px.mean())
     candidates = decode_quads(image, reading.corners_px[None], detector.dictionary, sigma_px)
-    fits = detector.look_at(image, candidates).fits
+    fits = detector.measure(image, candidates).fits
     if not fits.ids.size:
         return None
     return failed_test(verification_tests(fits, image_noise(image), code_distance(detector.dictionary)), 0)

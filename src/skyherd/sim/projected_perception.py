@@ -6,7 +6,7 @@ import numpy as np
 
 from skyherd.geometry import IntArray
 from skyherd.markers.dictionary import card_side, headings_of_corners, sides_of_corners
-from skyherd.messages import Detections
+from skyherd.messages import Detections, Quality
 from skyherd.render import TeamImage, project_team
 from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
@@ -70,5 +70,6 @@ class ProjectedPerception(Perception):
             sides_px=sides,
             corners_px=corners,
             covariances=covariances,
+            qualities=np.full(ids.size, Quality.PHOTOMETRIC),
         )
         return Sight(detections, whole_ids, ids, 0, None)

@@ -10,6 +10,7 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import cells_per_side, code_distance, corners_of_pose, marker_cells
+from skyherd.messages import Quality
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.diagnosis.explain import Rejection, explain
@@ -28,8 +29,7 @@ from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.photometric.fitting.fit_result import FitResults
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.image_noise import image_noise
-from skyherd.vision.photometric.verify import Quantity, verification_tests, verified
-from skyherd.vision.photometric.wrong_cells import WrongCellResiduals
+from skyherd.vision.photometric.verify import Quantity, WrongCellResiduals, verification_tests, verified
 
 DICTIONARY = "4X4_50"
 WIDE = "4X4_50@2"
@@ -174,8 +174,10 @@ def test_a_shape_without_bits_at_the_border_is_not_called_a_marker(draw) -> None
 def test_too_oblique(draw) -> None:
     """At acos(0.2) = 78.5 deg the squeeze is `(1 - 0.2) / (1 + 0.2)` = 0.67."""
     image = cv2.resize(draw(60, noise=0.0), (400, 80), interpolation=cv2.INTER_AREA)
-    rejected = likely(image)
-    check(rejected, Reason.OBLIQUE, IDS)
+    rejected, seen = likely(image), create_detector().detect(image)
+    lost = sorted(set(IDS) - set(seen.ids.tolist()))
+    check(rejected, Reason.OBLIQUE, lost)
+    assert lost and not len(seen.of_quality(Quality.PHOTOMETRIC)), "others are read, but not fitted"
     for r in rejected:
         assert r.measured.value == pytest.approx(0.667, abs=0.01) and r.measured.limit == 0.6
         assert r.reading.tilt_deg == pytest.approx(78.5, abs=4)
@@ -258,7 +260,7 @@ def test_each_test_of_a_fit_is_named_with_its_value_and_limit(draw, quantity) ->
     """Good fits, one of them changed in one respect: that very test is told, the fit is refused, its reason
     has words with the numbers, and the other fits stay good."""
     image = draw()
-    first, _ = PhotometricDetector(DICTIONARY, following=False).looks(image)
+    first, _ = PhotometricDetector(DICTIONARY, following=False).searches(image)
     noise, distance = image_noise(image), code_distance(DICTIONARY)
     assert verified(first.found, noise, distance).all() and len(first.found.ids) == 4
     fits = broken(first.found, quantity)
@@ -329,7 +331,7 @@ def test_what_is_found_is_explained_as_found_and_what_is_refused_by_a_test(
         image = with_clutter(rng, image, 12)
         detector = PhotometricDetector(DICTIONARY, following=False)
         noise, distance = image_noise(image), code_distance(DICTIONARY)
-        first, _ = detector.looks(image)
+        first, _ = detector.searches(image)
         tests = verification_tests(first.fits, noise, distance)
         failed = np.array([failed_test(tests, row) is not None for row in range(first.good.size)])
         assert not (failed & first.good).any()

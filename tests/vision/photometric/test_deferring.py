@@ -5,9 +5,8 @@ import pytest
 
 from skyherd.errors import InputError
 from skyherd.vision import DeferringDetector, PhotometricDetector, create_detector
-from skyherd.vision.photometric import deferring
-from skyherd.vision.photometric.deferring import LOOK_AROUND_INTERVAL
-from skyherd.vision.photometric.detector import SEARCH_INTERVAL
+from skyherd.vision.photometric import detector as deferring
+from skyherd.vision.photometric.detector import LOOK_AROUND_INTERVAL, SEARCH_INTERVAL
 
 DICTIONARY, SIZE = "4X4_50", (400, 320)
 HOMES = np.array([80 + 80j, 200 + 80j, 320 + 80j, 80 + 230j, 200 + 230j, 320 + 230j])
@@ -117,9 +116,9 @@ def test_units_are_kept_apart_and_nothing_is_searched_of_a_unit_that_was_not_see
     detector = DeferringDetector(DICTIONARY)
     for number in range(LOOK_AROUND_INTERVAL - 1):
         detector.detect(draw(number, IDS, HOMES), time_s=0.1 * number, unit_id=0)
-    before = detector.estimates[0].unsearched
+    before = detector.states[0].unsearched
     detector.look_around(draw(number, IDS, HOMES), unit_id=1)
-    assert detector.estimates[0].unsearched == before and 1 not in detector.estimates
+    assert detector.states[0].unsearched == before and 1 not in detector.states
 
 
 def test_an_image_that_is_none_is_refused() -> None:

@@ -136,7 +136,7 @@ def test_a_followed_marker_is_measured_as_one_that_is_searched_for(place_markers
             [one.centers_px - other.centers_px, one.headings_rad - other.headings_rad]
         )
         off.append(difference / deviation)
-    assert follows.estimates[0].first_looks == 1, "a search was due once, and no marker was missed"
+    assert follows.states[0].searches == 1, "a search was due once, and no marker was missed"
     assert np.sqrt(np.square(off).mean()) < 0.2, np.sqrt(np.square(off).mean())
 
 
@@ -195,7 +195,7 @@ def test_units_are_kept_apart(place_markers, draw_markers):
             assert seen.unit_id == unit and seen.ids.tolist() == ids.tolist()
             np.testing.assert_array_equal(seen.centers_px, own.centers_px)
             np.testing.assert_array_equal(seen.covariances, own.covariances)
-    assert together.estimates[1].sigma_px > together.estimates[0].sigma_px + 0.3
+    assert together.states[1].sigma_px > together.states[0].sigma_px + 0.3
 
 
 # --- what changes between two images ---
@@ -292,7 +292,7 @@ def spotted(view, rng):
     return View(view.ids, view.centers, view.headings, view.sides, [cover])
 
 
-def carried(view, rng):
+def apply_similarity(view, rng):
     """A marker set down elsewhere, half a side off or between the others."""
     row, centers, headings = rng.integers(6), view.centers.copy(), view.headings.copy()
     if rng.uniform() < 0.5:
@@ -310,7 +310,7 @@ def turned(view, rng):
     return View(view.ids, view.centers, headings, view.sides)
 
 
-EVENTS = [removed, swapped, replaced, darkened, hidden, spotted, carried, turned]
+EVENTS = [removed, swapped, replaced, darkened, hidden, spotted, apply_similarity, turned]
 
 
 def wrong(seen, view):
@@ -363,14 +363,14 @@ def trials(event, numbers, place_markers, draw_markers):
 def test_no_wrong_id_and_no_stale_pose(event, place_markers, draw_markers):
     faults, share = trials(event, range(4), place_markers, draw_markers)
     assert not faults, faults
-    assert share > (0.8 if event in (spotted, carried) else 0.97)
+    assert share > (0.8 if event in (spotted, apply_similarity) else 0.97)
 
 
 def test_what_resembles_a_marker_near_one_that_is_missing_is_not_taken_for_another(
     place_markers, draw_markers
 ):
     """Two trials in which a marker lies over another one, and both together look like a third."""
-    assert not trials(carried, [583, 775], place_markers, draw_markers)[0]
+    assert not trials(apply_similarity, [583, 775], place_markers, draw_markers)[0]
 
 
 @pytest.mark.slow
@@ -378,4 +378,4 @@ def test_what_resembles_a_marker_near_one_that_is_missing_is_not_taken_for_anoth
 def test_no_wrong_id_and_no_stale_pose_in_a_thousand_trials(event, place_markers, draw_markers):
     faults, share = trials(event, range(1000), place_markers, draw_markers)
     assert not faults, faults
-    assert share > (0.8 if event in (spotted, carried) else 0.99)
+    assert share > (0.8 if event in (spotted, apply_similarity) else 0.99)

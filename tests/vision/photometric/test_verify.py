@@ -9,7 +9,7 @@ from skyherd.vision.photometric.fitting.fit import fit_markers
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.image_noise import ROUNDING_NOISE, _median_of_levels, image_noise
-from skyherd.vision.photometric.scales import fit_all_sizes
+from skyherd.vision.photometric.refine import fit_all_sizes
 from skyherd.vision.photometric.verify import bits_are_right, verified
 
 DICTIONARY, SIGMA_PX, DISTANCE = "4X4_50", 0.85, 4

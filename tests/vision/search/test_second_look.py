@@ -8,7 +8,7 @@ from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision import PhotometricDetector, create_detector
-from skyherd.vision.photometric import look as stages
+from skyherd.vision.photometric import detector as stages
 from skyherd.vision.search.second_look import find_overlooked_quads
 
 DICTIONARY = "APRILTAG_36h11"

@@ -56,7 +56,7 @@ class HelperTasks:
 
 
 def deal(units: int, helpers: int) -> list[HelperTasks]:
-    """Distribute the cameras of some units to at most `helpers` helpers with balanced work.
+    """Distribute the cameras of some units to helpers with balanced work.
 
     Cameras are assigned for reading in turn. Each helper first renders the images that it reads. Then the
     helper with the most work transfers rendering to the one with the least, while this reduces the maximum.

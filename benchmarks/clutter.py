@@ -159,10 +159,15 @@ def drawn(rng: np.random.Generator, dictionary: str, kind: str) -> Pattern:
 
 
 def placed(
-    image: Array, pattern: Pattern, side_px: float, center_px: Array, rng: np.random.Generator
+    image: Array,
+    pattern: Pattern,
+    side_px: float,
+    center_px: Array,
+    rng: np.random.Generator,
+    max_tilt_deg: float = 60.0,
 ) -> Array:
     """Return the image (height, width) of whiteness with a pattern under a random perspective."""
-    turn, tilt = rng.uniform(0, 2 * np.pi), rng.uniform(0, np.radians(60))
+    turn, tilt = rng.uniform(0, 2 * np.pi), rng.uniform(0, np.radians(max_tilt_deg))
     axis, corners = rng.uniform(0, 2 * np.pi), np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2.0
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     along = np.array([np.cos(axis), np.sin(axis)])

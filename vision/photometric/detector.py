@@ -37,6 +37,7 @@ from skyherd.vision.photometric.refine import with_usual_blur
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads
+from skyherd.vision.search.faint import find_faint_quads
 from skyherd.vision.search.quads import find_quads
 from skyherd.vision.search.second_look import find_opencv_quads, find_overlooked_quads, find_small_quads
 
@@ -178,7 +179,9 @@ class PhotometricDetector:
         first = self._measured(image, state, find_quads(image), followed, MIN_CORRELATION)
         found = first.found
         known = followed.joined(found.homographies)
-        quads = find_overlooked_quads(image, to_points(known.images(SQUARE_CORNERS)), self.dictionary)
+        known_px = to_points(known.images(SQUARE_CORNERS))
+        quads = find_overlooked_quads(image, known_px, self.dictionary)
+        quads = np.concatenate([quads, find_faint_quads(image, known_px)])
         second = self._measured(image, replace(state, plane=first.plane), quads, known, CLEAR_CORRELATION)
         if not (first.good.any() and second.good.any()):
             return first, second

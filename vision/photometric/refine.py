@@ -286,7 +286,7 @@ is left is of second order in the change."""
 
 
 def with_streak(
-    image: Image, dictionary: str, fits: FitResults, good: BoolArray, plane: Plane
+    image: Image, dictionary: str, fits: FitResults, good: BoolArray, plane: Plane, worth: BoolArray
 ) -> tuple[FitResults, BoolArray, Plane]:
     """Return fits under the streak that the image has; the same, as they are, if it has none.
 
@@ -296,6 +296,7 @@ def with_streak(
         fits: of N markers under round blur.
         good: (N,) which of them are verified; these tell whether there is a streak.
         plane: that they lie on.
+        worth: (N,) which of them are worth another fit.
 
     Returns:
         The fits, which of them (N,) are verified, and the plane.
@@ -308,7 +309,7 @@ def with_streak(
     evidence = streak_evidence(image, dictionary, fits.take(few), plane, noise, 0j)
     if evidence.significance() < SIGNIFICANT or abs(evidence.change_px2()) < MIN_STREAK_PX2:
         return fits, good, plane
-    promising = np.flatnonzero(is_promising(fits))
+    promising = np.flatnonzero(is_promising(fits) & (worth | good))
     streak_px2, old = 0j, fits.take(promising)
     new, new_plane, telling = old, plane, np.flatnonzero(np.isin(promising, rows))
     for _ in range(STREAK_ROUNDS):

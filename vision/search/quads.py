@@ -39,6 +39,10 @@ pixels of a region, whose edge is half a pixel further out."""
 ERODED_PX = 1.0
 """By how much erosion moves a region's sides inwards, px. Derived: `DarkRegions.eroded` takes off one."""
 
+MAX_EROSIONS = 2
+"""Erosions of the enlarged image after which regions are looked at, each by half a pixel of the image.
+Chosen: they part small squares that touch at their corners, which a whole pixel would destroy."""
+
 SHRINKS = (1, 2, 4)
 """By how much images are shrunk in which regions are parted from what touches them. Chosen: bridges of two
 pixels break in each, so that those of up to eight do; more would lose all but the largest markers."""
@@ -109,9 +113,13 @@ def small_quads(mosaic: Mosaic) -> Array:
     with what is around the marker, and slim quadrilaterals stay whole. It takes three times as long as the
     search of the same places in their own size.
     """
-    boundaries = dark_boundaries(dark_regions(mosaic.enlarged()), ENLARGEMENT * MIN_POINTS)
-    quads = _quads_of(boundaries, GROWTH_PX, min_area_px2=(ENLARGEMENT * MIN_QUAD_SIDE_PX) ** 2)
-    return (quads + 0.5) / ENLARGEMENT - 0.5
+    regions, found = dark_regions(mosaic.enlarged()), []
+    min_area_px2 = (ENLARGEMENT * MIN_QUAD_SIDE_PX) ** 2 / 2
+    for erosions in range(MAX_EROSIONS + 1):
+        boundaries = dark_boundaries(regions, ENLARGEMENT * MIN_POINTS // 2)
+        found.append(_quads_of(boundaries, GROWTH_PX + erosions * ERODED_PX, min_area_px2=min_area_px2))
+        regions = regions.eroded()
+    return (np.concatenate(found) + 0.5) / ENLARGEMENT - 0.5
 
 
 def _quads_of(boundaries: Boundaries, growth_px: float, *, min_area_px2: float = MIN_AREA_PX2) -> Array:

@@ -106,12 +106,12 @@ def test_what_another_detector_does_not_report_is_said_to_be_found_by_the_defaul
 
 
 def test_too_few_pixels(draw) -> None:
-    """Markers of 7 px have hardly a pixel a cell; outlines of them are right to a pixel."""
-    rejected = likely(draw(7))
-    assert len(rejected) >= 2
+    """Markers of 6 px have a pixel a cell; outlines of them are right to a pixel."""
+    rejected = likely(draw(6))
+    assert len(rejected) >= 1
     for r in rejected:
         assert r.reason is Reason.FEW_PIXELS and r.measured.limit == 8.0
-        assert r.measured.value == pytest.approx(7, abs=1.0) and "fly lower" in r.words
+        assert r.measured.value == pytest.approx(6, abs=1.5) and "fly lower" in r.words
 
 
 @pytest.mark.smoke

@@ -111,14 +111,9 @@ def test_markers_blurred_above_limit_are_no_photometric_ones():
     """Cells of 1.67 px under 1.28 px of blur are beyond the limit of 0.75 cells, by less than noise moves it.
 
     Of many fits of one marker, the one with the least blur would pass, which is that with the largest error.
-    By their likelihood some are read all the same, each as itself, and to a twentieth of a pixel.
     """
-    qualities, off_px = [], []
-    for seen, (centers, _, _) in frames(10, 2.0, 1.25, 20, 1):
-        qualities += seen.qualities.tolist()
-        off_px += np.linalg.norm(seen.centers_px - centers, axis=1).tolist()
-    assert np.count_nonzero(np.array(qualities) == Quality.PHOTOMETRIC) < 0.03 * 20 * PER_FRAME
-    assert len(off_px) > 0.3 * 20 * PER_FRAME and np.quantile(off_px, 0.95) < 0.05
+    seen = [seen for seen, _ in frames(10, 2.0, 1.25, 20, 1)]
+    assert sum(len(one.of_quality(Quality.PHOTOMETRIC)) for one in seen) < 0.03 * 20 * PER_FRAME
 
 
 @pytest.mark.parametrize("psf_px", [0.55, 1.2])

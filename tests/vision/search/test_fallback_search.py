@@ -9,7 +9,7 @@ from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.photometric import detector as stages
-from skyherd.vision.search.second_look import find_overlooked_quads
+from skyherd.vision.search.fallback_search import find_overlooked_quads
 
 DICTIONARY = "APRILTAG_36h11"
 SIDE_PX, STEP_PX, ROWS = 11.5, 20.0, 5

@@ -114,20 +114,20 @@ def test_dark_quadrilaterals_are_no_markers():
     assert not false_positives(range(12), 2)
 
 
-def test_a_dark_square_with_a_small_card_in_it_in_a_noisy_image_is_no_marker():
+def test_noisy_dark_square_with_a_light_card_is_no_marker():
     """What its fit leaves is twice the noise, and must not pass for a camera's processing."""
     assert not false_positives([1434], 3)
 
 
 @pytest.mark.slow
-def test_light_squares_in_dark_ones_are_taken_for_the_marker_that_is_one_and_seldom():
+def test_light_squares_in_dark_ones_rarely_pass_as_marker_17():
     """Marker 17 alone, which is a dark square with a light one in it: in one of 20 images of 150."""
     found = false_positives(range(300), 4, lit=0.35)
     assert len(found) < 15 and all(": 17 at" in one for one in found), found
 
 
 @pytest.mark.slow
-def test_dark_quadrilaterals_are_no_markers_in_two_thousand_images():
+def test_dark_quadrilaterals_are_no_markers_in_2000_images():
     found = false_positives(range(2000), 3)
     assert not found, found
 
@@ -185,7 +185,7 @@ def test_dark_ground_between_cards_is_no_marker(count, grounds):
 
 
 @pytest.mark.slow
-def test_dark_ground_between_cards_is_no_marker_in_two_thousand_images():
+def test_dark_ground_between_cards_is_no_marker_in_2000_images():
     false, _ = ghosts(2000, 2, grounds=50)
     assert not false, false
 

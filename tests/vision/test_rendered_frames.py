@@ -171,7 +171,7 @@ def test_the_full_measurement(renderer) -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.2, -2.5])
-def test_a_robot_that_drives_forward_moves_along_its_image_heading(renderer, yaw) -> None:
+def test_robot_driving_forward_moves_along_its_image_heading(renderer, yaw) -> None:
     """Detected before and after 2 m (50 px) ahead: the way points along the detected headings.
 
     Centres of 0.035 px over 50 px leave 0.06 deg, headings themselves 0.25 deg: 6 deviations are 1.5 deg.
@@ -290,7 +290,7 @@ def test_only_grey_images_of_8_bits_are_taken(image) -> None:
         create_detector(dictionary=DICTIONARY).detect(image)
 
 
-def test_an_unknown_detector_or_dictionary_is_named_with_those_there_are() -> None:
+def test_unknown_detector_or_dictionary_error_lists_valid_names() -> None:
     with pytest.raises(InputError, match="no detector 'yolo'; one of apriltag3, locus-tag"):
         create_detector("yolo")
     with pytest.raises(InputError, match="no dictionary '9X9_1'") as raised:
@@ -326,7 +326,7 @@ def test_detections_carry_their_unit_time_and_size(renderer) -> None:
     assert wide.image_size_px.tolist() == [70, 30] and len(wide) == 0
 
 
-def test_markers_that_are_no_robots_are_ignored_by_the_controller(renderer) -> None:
+def test_controller_ignores_markers_that_are_no_robots(renderer) -> None:
     """A stray marker 40 in view changes neither goals nor flight nor what is reported."""
     template = Template(np.array([3, 8, 21]), np.array([0, 1, 1j]))
     seen = create_detector(dictionary=DICTIONARY).detect(picture(renderer, [3, 8, 21, 40]))

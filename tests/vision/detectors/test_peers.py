@@ -77,7 +77,7 @@ The worst scatter of one is 0.18 px: three standard errors are 0.07 px over 61 m
 
 @IN_FRAMES
 @pytest.mark.parametrize(("name", "dictionary"), DICTIONARIES)
-def test_corrected_peers_agree_with_the_truth_in_every_convention(name, dictionary, count, least, bias_px):
+def test_corrected_peers_match_ground_truth(name, dictionary, count, least, bias_px):
     """Corners within a pixel of ours, in our order: a wrong order would be off by a side, 30 px.
 
     Position without bias as far as so many markers tell; heading to 2 deg, the side to half a pixel, since
@@ -114,7 +114,7 @@ def test_none_reports_a_covariance_and_all_are_known_by_name():
     np.testing.assert_allclose((raw.centers_px - same.centers_px), BIAS_PX["opencv-apriltag"], atol=0.03)
 
 
-def test_headings_in_a_tilted_plane_are_those_of_the_forward_axes():
+def test_headings_in_a_tilted_plane_match_the_forward_axes():
     """Exact corners at 15 deg: to 0.2 deg, second order in the tilt; fitted alone, off by 1 deg."""
     tilt = np.radians(15.0)
     c, s = np.cos(tilt), np.sin(tilt)
@@ -140,7 +140,7 @@ def test_of_a_repeated_id_the_larger_counts():
     np.testing.assert_array_equal(kept, corners[[2, 1]])
 
 
-def test_an_image_without_markers_is_no_error_and_a_colour_image_is():
+def test_peers_accept_empty_scenes_and_refuse_colour_images():
     for name in peer_names()[:4]:
         assert len(create_detector(name).detect(np.full((90, 120), 128, np.uint8))) == 0
     with pytest.raises(InputError, match="grey"):
@@ -165,7 +165,7 @@ def test_peers_of_other_libraries_say_what_they_lack(name, library, monkeypatch)
 
 
 @pytest.mark.parametrize("name", ["opencv", "opencv-apriltag", "apriltag3", "locus-tag"])
-def test_all_places_of_a_repeated_id_are_told_where_detect_has_the_largest(name):
+def test_find_all_reports_repeats_and_detect_the_largest(name):
     """Two markers of id 3, of 60 and 90 px, and one of id 5; every corner as `detect` has it."""
     if name in LIBRARIES:
         pytest.importorskip(LIBRARIES[name])

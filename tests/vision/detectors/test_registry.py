@@ -73,7 +73,7 @@ def own_module(tmp_path, monkeypatch):
     sys.modules.pop("own_detector", None)
 
 
-def test_a_detector_written_from_the_interface_alone_is_created_and_detects(own_module):
+def test_detector_outside_the_package_is_created_and_detects(own_module):
     detector: Detector = create_detector("own_detector:Square", dictionary="APRILTAG_36h11")
     found = detector.detect(np.zeros((60, 80), np.uint8), time_s=1.5, unit_id=2)
     assert found.ids.tolist() == [14] and (found.time_s, found.unit_id) == (1.5, 2)
@@ -155,7 +155,7 @@ def test_every_detector_keeps_the_promises_of_the_interface(name):
             detector.detect(wrong)
 
 
-def test_corners_are_scaled_about_their_centre_to_the_side_that_is_given():
+def test_corners_are_scaled_about_the_centre_to_a_given_side():
     corners = np.array([[[10.0, 20], [30, 20], [30, 40], [10, 40]]])
     found = detections_of_corners(
         np.zeros((60, 80), np.uint8),

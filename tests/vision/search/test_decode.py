@@ -27,9 +27,7 @@ def grid(place_markers, side_px, headings):
 
 @pytest.mark.parametrize("turn", range(4))
 @pytest.mark.parametrize("dictionary", ["4X4_50", "5X5_100", "APRILTAG_36h11"])
-def test_every_turn_is_told_and_corners_come_in_the_markers_own_order(
-    place_markers, draw_markers, dictionary, turn
-):
+def test_decode_finds_rotation_and_orders_corners(place_markers, draw_markers, dictionary, turn):
     """4 px a cell, noise 5, corners half a pixel off: every id right, corners as given but for the turn."""
     rng = np.random.default_rng([1, turn])
     ids = rng.permutation(dictionary_size(dictionary))[:25]
@@ -69,9 +67,7 @@ def test_likeness_does_not_depend_on_gain_and_offset(place_markers, draw_markers
 
 @pytest.mark.parametrize("levels", [(30, 230), (90, 150)])
 @pytest.mark.parametrize("side_px", [8.0, 12.0, 30.0])
-def test_the_print_is_that_of_the_levels_under_any_blur_that_is_known(
-    place_markers, draw_markers, side_px, levels
-):
+def test_print_contrast_is_that_of_the_levels_under_known_blur(place_markers, draw_markers, side_px, levels):
     """(white - black) / white; up to an eighth less in the median, since cells are read between pixels, which
     blurs those of two pixels once more."""
     rng = np.random.default_rng([5, int(side_px)])

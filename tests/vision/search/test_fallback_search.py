@@ -36,7 +36,7 @@ def near(quads: np.ndarray, middles: np.ndarray) -> np.ndarray:
     return (off < 1.0).any(axis=0) if len(quads) else np.zeros(len(middles), dtype=bool)
 
 
-def test_cells_of_a_pixel_and_a_half_come_apart_at_twice_the_size(monkeypatch):
+def test_fallback_search_finds_cells_of_one_and_a_half_pixels(monkeypatch):
     image, middles = sheet()
     assert near(find_overlooked_quads(image, np.zeros((0, 4, 2)), DICTIONARY), middles).all()
     detector = PhotometricDetector(DICTIONARY, following=False)
@@ -107,7 +107,7 @@ def without(image, middle):
     return covered
 
 
-def test_while_all_are_followed_there_is_a_second_look_at_every_tenth_search(monkeypatch):
+def test_fallback_search_runs_every_tenth_search_if_all_followed(monkeypatch):
     """Searches are every fifth image; at first nothing is known, and the second look finds some of these."""
     counted = Counted(monkeypatch)
     image, _ = sheet()
@@ -116,7 +116,7 @@ def test_while_all_are_followed_there_is_a_second_look_at_every_tenth_search(mon
     assert counted.images == [0, 10, 60], "the one after a success is at the next search but one"
 
 
-def test_a_marker_that_only_the_second_look_finds_is_found_within_fifty_images(monkeypatch):
+def test_marker_of_fallback_search_is_found_within_50_images(monkeypatch):
     image, middles = sheet()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stages, "find_overlooked_quads", lambda *_: np.zeros((0, 4, 2)))
@@ -128,7 +128,7 @@ def test_a_marker_that_only_the_second_look_finds_is_found_within_fifty_images(m
     assert first == 60 and counted.images == [0, 10, 60]
 
 
-def test_a_marker_that_is_missing_is_searched_by_both_looks_at_once(monkeypatch):
+def test_missing_marker_triggers_both_search_passes(monkeypatch):
     counted = Counted(monkeypatch)
     image, middles = sheet()
     found = counted.follow([*[image] * 13, without(image, middles[7])])

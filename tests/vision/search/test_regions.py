@@ -72,13 +72,13 @@ def test_too_narrow_a_margin_shows(monkeypatch):
     assert apart != boundaries_of(image)
 
 
-def test_places_are_laid_out_where_they_are_few_and_the_image_is_taken_whole_where_not():
+def test_few_places_form_a_mosaic_and_many_the_whole_image():
     few, many = drawn(squares(5, count=4)), drawn(squares(6, count=120))
     assert crowded_places(few).image.size < few.size / 4
     assert crowded_places(many).image.shape == many.shape
 
 
-def test_where_only_strong_darkness_counts_texture_is_not_looked_at():
+def test_min_darkness_excludes_texture():
     """Ground with a texture of 5 grey levels over a few pixels is dark in many places, though by little."""
     rng = np.random.default_rng(8)
     texture = cv2.GaussianBlur(rng.standard_normal(SIZE_PX[::-1]), (0, 0), 2.0)
@@ -108,7 +108,7 @@ def test_any_size_of_image_is_taken(size_px):
     assert places is None or not dark_boundaries(dark_regions(places), MIN_POINTS).lengths.size
 
 
-def test_points_are_where_the_region_is_and_run_anticlockwise_as_seen():
+def test_boundary_lies_on_the_region_and_runs_anticlockwise():
     """An upright square of 20 px at (300, 200): outermost dark pixels within one of its edges."""
     square = np.array([[300, 200], [320, 200], [320, 220], [300, 220]], dtype=float)
     places = crowded_places(drawn([square], noise=0.0, ground=230))
@@ -126,7 +126,7 @@ def middles_of(mosaic):
     return np.array([part.mean() for part in np.split(found.points, np.cumsum(found.lengths)[:-1])])
 
 
-def test_places_of_known_squares_are_left_out_and_those_beside_them_are_whole():
+def test_known_squares_are_excluded_and_neighbours_kept():
     """Of nine squares, some 6 px apart, all but one are known: what is left has all of that one's edge."""
     at = np.array([[u, v] for u in (200, 222, 300) for v in (200, 222, 300)], dtype=float)
     shapes = at[:, None] + 8 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])

@@ -1,4 +1,4 @@
-"""The second look: what the first loses is found, and what is known is not looked at again."""
+"""The fallback search: it finds markers that the first pass misses, and excludes known markers."""
 
 import cv2
 import numpy as np
@@ -16,7 +16,7 @@ SIDE_PX, STEP_PX, ROWS = 11.5, 20.0, 5
 
 
 def sheet() -> tuple[np.ndarray, np.ndarray]:
-    """A sharp image of 25 markers with 8 cells of a pixel and a half, and their middles (25, 2), px."""
+    """Return a sharp image of 25 markers with 8 cells of 1.5 px a side, and their centres (25, 2), px."""
     large = 40
     middles = np.array([[u, v] for v in range(ROWS) for u in range(ROWS)]) * STEP_PX + STEP_PX + 4.3
     size = round((ROWS + 1) * STEP_PX) * large
@@ -31,7 +31,7 @@ def sheet() -> tuple[np.ndarray, np.ndarray]:
 
 
 def near(quads: np.ndarray, middles: np.ndarray) -> np.ndarray:
-    """Which of the middles (N, 2) have a quadrilateral within 1 px."""
+    """Return the mask (N,) of the centres (N, 2) that have a quadrilateral within 1 px."""
     off = np.linalg.norm(quads.mean(axis=1)[:, None] - middles, axis=2)
     return (off < 1.0).any(axis=0) if len(quads) else np.zeros(len(middles), dtype=bool)
 
@@ -45,10 +45,10 @@ def test_fallback_search_finds_cells_of_one_and_a_half_pixels(monkeypatch):
     np.testing.assert_allclose(seen.centers_px, middles, atol=0.1)
     nothing = np.zeros((0, 4, 2))
     monkeypatch.setattr(stages, "find_overlooked_quads", lambda *_: nothing)
-    assert len(detector.detect(image)) < 20, "without the second look"
+    assert len(detector.detect(image)) < 20, "without the fallback search"
 
 
-def test_what_is_known_is_not_looked_at_again():
+def test_fallback_search_excludes_known_markers():
     image, middles = sheet()
     half = SIDE_PX / 2
     squares = middles[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -66,7 +66,7 @@ def test_what_is_known_is_not_looked_at_again():
     ids=["faint and blurred", "tilted by 70 degrees"],
 )
 def test_every_marker_that_opencv_finds_is_found(cell):
-    """Rendered images in which the first look alone is blinder than OpenCV's detector at its defaults."""
+    """Rendered images in which the first pass alone misses markers that OpenCV detects at its defaults."""
     first_alone = 0
     for frame in rendered_frames(cell, "4X4_50", 3):
         theirs = create_detector("opencv").detect(frame.image)
@@ -75,11 +75,11 @@ def test_every_marker_that_opencv_finds_is_found(cell):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(stages, "find_overlooked_quads", lambda *_: np.zeros((0, 4, 2)))
             first_alone += len(set(theirs.ids) - set(create_detector().detect(frame.image).ids))
-    assert first_alone > 0, "the cells are such that the second look has something to find"
+    assert first_alone > 0, "the first pass alone misses markers"
 
 
 class Counted:
-    """The second look, and the numbers of the images that had one."""
+    """Numbers of the images with a fallback search."""
 
     def __init__(self, monkeypatch):
         self.image, self.images = 0, []
@@ -92,7 +92,7 @@ class Counted:
         monkeypatch.setattr(stages, "find_overlooked_quads", counted)
 
     def follow(self, images):
-        """Ids found in each image by a detector that follows markers."""
+        """Return the set of ids that `tracking` detects in each image."""
         detector, found = create_detector("tracking", dictionary=DICTIONARY), []
         for self.image, image in enumerate(images):
             found.append(set(detector.detect(image, time_s=0.1 * self.image).ids.tolist()))
@@ -100,7 +100,7 @@ class Counted:
 
 
 def without(image, middle):
-    """The image with the marker around a middle painted over."""
+    """Return a copy of the image in which the marker at a centre is painted over."""
     left, top = np.round(middle - STEP_PX / 2).astype(int)
     size, covered = round(STEP_PX), image.copy()
     covered[top : top + size, left : left + size] = 140
@@ -108,12 +108,12 @@ def without(image, middle):
 
 
 def test_fallback_search_runs_every_tenth_search_if_all_followed(monkeypatch):
-    """Searches are every fifth image; at first nothing is known, and the second look finds some of these."""
+    """Every fifth image is searched. In the first image the fallback search finds some of the markers."""
     counted = Counted(monkeypatch)
     image, _ = sheet()
     found = counted.follow([image] * 65)
     assert found == [set(range(25))] * 65
-    assert counted.images == [0, 10, 60], "the one after a success is at the next search but one"
+    assert counted.images == [0, 10, 60], "after a success it runs two searches later"
 
 
 def test_marker_of_fallback_search_is_found_within_50_images(monkeypatch):

@@ -5,9 +5,9 @@
 
 Each condition is applied to images of twelve markers of 40 px on a plane that is tilted by up to 40 degrees;
 its strength is that of the table. `--tuning` takes other seeds and other strengths, for work on the detector:
-the table is then no result. Columns: markers found with their id, of all; wrong ids of all detectors; the root
-mean square of the error of centres of `photometric`, px, and its NEES, of all markers and of those that are
-not photometric.
+the table is then no result. Columns: markers found with their id, of all; wrong ids of all detectors; root
+mean square of the error of centres of `photometric`, px; its NEES, of all markers and of those that are not
+photometric.
 """
 
 import argparse

@@ -38,8 +38,8 @@ from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads
 from skyherd.vision.search.faint import find_faint_quads
+from skyherd.vision.search.fallback_search import find_opencv_quads, find_overlooked_quads, find_small_quads
 from skyherd.vision.search.quads import find_quads
-from skyherd.vision.search.second_look import find_opencv_quads, find_overlooked_quads, find_small_quads
 
 SEARCH_INTERVAL = 5
 """While all markers are followed, every image of this number is searched whole. Chosen: a new marker waits

@@ -1,10 +1,10 @@
-"""Corners of dark quadrilaterals from the image's gradient along their sides.
+"""Refinement of quadrilateral corners by the image gradient along normals of the sides.
 
-The boundary of a dark region is off where blur, light or a neighbour moves the threshold. Here the brightness
-is sampled along normals of each side. The edge on a normal is the centroid of the outward brightening within
-reach. A line is fitted to these edges by iteratively reweighted least squares (Tukey's biweight), so that
-glare, a cover or a neighbour over a part of a side has no influence. Corners are where the lines meet. The
-marker's cells have no part in it: the pose does not depend on which marker the candidate is taken for.
+Blur, light and neighbours shift the threshold, and with it the boundary of a dark region. Here the brightness
+is sampled along normals of each side. The edge point of a normal is the centroid of the outward increase. A
+line is fitted to the edge points by iteratively reweighted least squares (Tukey's biweight). Outliers from
+glare, an occlusion or a neighbour over a part of a side thus have little weight. The corners are the
+intersections of the lines. The result does not depend on the marker's cells.
 """
 
 from dataclasses import dataclass
@@ -16,23 +16,24 @@ from skyherd.geometry import Array, ComplexArray, to_complex, to_points
 from skyherd.vision.grey import Image
 
 NORMALS = 24
-"""Normals along a side. Chosen: more add little, since neighbouring ones share pixels."""
+"""Number of normals of a side. Chosen: more add little, because neighbouring normals share pixels."""
 
 END_SHARE = 0.1
-"""Share of a side at either end that has no normals, since the corners are rounded by blur. Chosen."""
+"""Share of a side without normals at either end. Chosen: blur rounds the corners."""
 
 STEPS = 8
-"""Samples of a normal on either side of the line. Chosen: half a pixel apart for reaches up to 4 px."""
+"""Samples of a normal on either side of the line. Chosen: spacing of half a pixel at most."""
 
 REACH_CELLS, MIN_REACH_PX, MAX_REACH_PX = 0.8, 1.5, 4.0
-"""Reach of a normal on either side. Chosen: within the black border, and at least a quadrilateral's error."""
+"""Length of a normal on either side, with its limits. Chosen: within the black border, and at least the
+error of a quadrilateral."""
 
 ROUNDS, REWEIGHTINGS = 2, 4
-"""Rounds of sampling about the last line, and reweightings of each line fit. Chosen."""
+"""Iterations of sampling about the last line, and of reweighting in each line fit. Chosen."""
 
 TUKEY_SIGMAS, MIN_SPREAD_PX = 4.7, 0.1
-"""Cut of the biweight in standard deviations (95 % efficiency: Huber, Robust Statistics, 1981), and the
-smallest standard deviation that residuals are compared with. Chosen."""
+"""Cut-off of the biweight in standard deviations (95 % efficiency: Huber, Robust Statistics, 1981), and the
+smallest standard deviation of residuals. Chosen."""
 
 INDEPENDENT_POINTS, MIN_SUPPORT, BIAS_PX = 3.0, 0.3, 0.04
 """Edge points of a side whose errors are independent, the smallest share of them that counts, and what light
@@ -44,12 +45,12 @@ MIN_DIVISOR = 1e-9
 
 @dataclass(frozen=True)
 class EdgeFits:
-    """Corners of N quadrilaterals by their edges.
+    """Refined corners of N quadrilaterals.
 
     Attributes:
         corners_px: (N, 4, 2).
         spreads_px: (N,) standard deviation of an edge point about its line.
-        supports: (N,) share of the edge points that agree with their line.
+        supports: (N,) share of the edge points that are inliers.
         variances: (N, 3) of the centre along both image axes, px², and of the heading, rad².
     """
 
@@ -60,13 +61,13 @@ class EdgeFits:
 
 
 def fit_edges(image: Image, corners_px: Array, n_cells: int) -> EdgeFits:
-    """Return the corners of dark quadrilaterals from the gradients along their sides.
+    """Return the corners of dark quadrilaterals, refined by the gradient along normals of their sides.
 
-    A side without an edge within reach stays where it was.
+    A side without an edge within reach does not change.
 
     Args:
         image: grey, (height, width).
-        corners_px: (N, 4, 2) corners, clockwise as seen, off by a pixel or two.
+        corners_px: (N, 4, 2) corners, clockwise in the image, with an error of a pixel or two.
         n_cells: cells along a marker's side, border included.
     """
     corners = to_complex(corners_px)
@@ -90,7 +91,7 @@ def fit_edges(image: Image, corners_px: Array, n_cells: int) -> EdgeFits:
 
 
 def _variances(spreads_px: Array, supports: Array, sides_px: Array) -> Array:
-    """Variances (N, 3) of centre and heading.
+    """Return variances (N, 3) of centre and heading.
 
     Two opposite sides determine one coordinate of the centre. All four determine the heading, each with the
     variance `12 σ² / (n l²)` over its length l.
@@ -102,7 +103,7 @@ def _variances(spreads_px: Array, supports: Array, sides_px: Array) -> Array:
 
 
 def _sampled(image: Image, at: ComplexArray) -> Array:
-    """Grey levels at points of any shape, by bilinear interpolation."""
+    """Return the grey levels at points of any shape, by bilinear interpolation."""
     flat = at.reshape(len(at), -1)
     out = np.empty(flat.shape, dtype=np.float32)
     step = max(1, 30000 // max(flat.shape[1], 1))
@@ -114,7 +115,7 @@ def _sampled(image: Image, at: ComplexArray) -> Array:
 
 
 def _edges_on_normals(grey: Array, offsets: Array) -> tuple[Array, Array]:
-    """Centroids (N, 4, M) of the brightening on each normal, px outward, and its sum as weight."""
+    """Return centroids (N, 4, M) of the brightness increase, px outward, and weights (N, 4, M)."""
     steps = np.maximum(np.diff(grey, axis=-1), 0.0) ** 2
     middles = (offsets[:, 1:] + offsets[:, :-1]) / 2
     total = steps.sum(axis=-1)
@@ -123,7 +124,7 @@ def _edges_on_normals(grey: Array, offsets: Array) -> tuple[Array, Array]:
 
 
 def _robust_lines(along: Array, edges: Array, weights: Array) -> tuple[Array, Array, Array, Array]:
-    """Shift and tilt (N, 4), px, of the lines through edges (N, 4, M), their spread and support (N,)."""
+    """Return shift and tilt (N, 4), px, of lines through edges (N, 4, M); spread and support (N,)."""
     base = weights / np.maximum(np.median(weights, axis=-1, keepdims=True), MIN_DIVISOR)
     base = np.minimum(base, 1.0)
     current, spread = base, np.zeros(edges.shape[:1])
@@ -142,7 +143,7 @@ def _robust_lines(along: Array, edges: Array, weights: Array) -> tuple[Array, Ar
 
 
 def _meeting(points: ComplexArray, directions: ComplexArray, otherwise: ComplexArray) -> ComplexArray:
-    """Corners (N, 4) where each side meets the one before it; as they were where sides are parallel."""
+    """Return the intersections (N, 4) of adjacent sides, or `otherwise` for parallel sides."""
     before, its = np.roll(points, 1, axis=1), np.roll(directions, 1, axis=1)
     crossing = (its.conj() * directions).imag
     meets = np.abs(crossing) > 1e-3

@@ -97,7 +97,7 @@ def test_nothing_is_rejected_where_all_is_well(draw, dictionary) -> None:
     assert explain(image, dictionary) == explain(image, dictionary, found) == []
 
 
-def test_what_another_detector_does_not_report_is_said_to_be_found_by_the_default_one(draw) -> None:
+def test_explain_says_if_the_default_detector_finds_a_marker(draw) -> None:
     image = draw()
     found = create_detector(dictionary=DICTIONARY).detect(image).select([3, 7, 12])
     (r,) = explain(image, DICTIONARY, found)
@@ -165,7 +165,7 @@ def test_cut_by_the_border(draw) -> None:
         assert np.abs(r.center_px[0] + cut - PLACES_PX[0, 0]) < 4
 
 
-def test_a_shape_without_bits_at_the_border_is_not_called_a_marker(draw) -> None:
+def test_shape_without_a_marker_border_is_not_called_a_marker(draw) -> None:
     image = draw(60)
     image[150:200, :40] = 25
     assert likely(image) == []
@@ -285,7 +285,7 @@ def test_mirrored(draw, count) -> None:
     assert {(r.reason, r.reading.nearest_id) for r in rejected} == {(Reason.MIRRORED, k) for k in ids}
 
 
-def test_markers_that_are_their_own_mirror_images_are_never_called_mirrored(draw) -> None:
+def test_symmetric_markers_are_never_called_mirrored(draw) -> None:
     """8, 9, 17 and 47 of 4X4_50 in a picture and in its mirror image: found in both, or too faint in both."""
     own = [8, 9, 17, 47]
     for turn in (1, -1):
@@ -296,7 +296,7 @@ def test_markers_that_are_their_own_mirror_images_are_never_called_mirrored(draw
     assert {(r.reason, r.reading.nearest_id) for r in mixed} == {(Reason.MIRRORED, 3), (Reason.MIRRORED, 7)}
 
 
-def test_mirror_images_that_are_markers_are_known_from_the_cells_alone() -> None:
+def test_symmetric_markers_are_determined_from_the_cells() -> None:
     """Against all pairs of cells: a template is mirrored if no marker in any turn has the same cells."""
     templates = load_templates(DICTIONARY)
     cells = [marker_cells(DICTIONARY, k) for k in range(50)]
@@ -314,7 +314,7 @@ def test_an_id_that_is_there_twice(draw) -> None:
     assert [(r.reason, r.reading.nearest_id) for r in rejected] == [(Reason.REPEATED, 3)] * 2
 
 
-def test_what_is_found_is_explained_as_found_and_what_is_refused_by_a_test(
+def test_explain_reports_found_markers_and_names_failed_tests(
     ground,
 ) -> None:
     """Candidates in rendered markers and clutter, of any size and blur: a fit is good if and only if it fails

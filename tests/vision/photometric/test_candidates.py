@@ -53,7 +53,7 @@ def test_what_is_much_paler_than_a_units_markers_is_not_fitted(markers) -> None:
     assert candidates(pale, None) == candidates(pale, 0.22) == [7, 12]
 
 
-def test_an_image_in_which_no_marker_is_known_is_searched_for_pale_ones_too(markers) -> None:
+def test_image_without_known_markers_is_searched_for_pale_ones(markers) -> None:
     """Haze, or a lamp, may have lifted all blacks since: the unit must find its markers again."""
     assert candidates(markers(faded=0.2), USUAL_PRINT, first_is_known=False) == [3, 7, 12]
 
@@ -89,9 +89,7 @@ def slanted(place_markers, tilt_deg: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("number", range(3))
-def test_a_few_markers_are_not_put_on_a_plane_where_those_known_have_none(
-    place_markers, draw_markers, number
-) -> None:
+def test_few_markers_get_no_plane_if_known_ones_have_none(place_markers, draw_markers, number) -> None:
     """Two squeezes always lie as on some plane, here a level one, and centres are off by 0.1 px then."""
     rng = np.random.default_rng([10, number])
     image = draw_markers(slanted(place_markers, 68), [3, 7], SIZE, rng, noise=1.0)

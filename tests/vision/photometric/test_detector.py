@@ -96,7 +96,7 @@ def test_the_covariance_is_honest_and_errs_on_the_safe_side(side_px):
     assert (nees > 0.7).all() and (nees < 1.35).all(), nees
 
 
-def test_small_markers_under_heavy_blur_are_found_and_fitted_under_it():
+def test_small_markers_under_heavy_blur_are_found_and_fitted():
     """Cells of 2 px under 1.33 px, two thirds of a cell: nineteen in twenty are found, and tell their errors.
 
     They promise a quarter too little variance. Fitted under less blur than there is, they promised half.

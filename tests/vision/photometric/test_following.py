@@ -32,7 +32,7 @@ def markers(centers, arms) -> LocalHomographies:
     seed=st.integers(0, 2**31),
     count=st.integers(3, 8),
 )
-def test_the_common_motion_is_the_cameras_however_each_robot_turned(a, b, seed, count) -> None:
+def test_common_motion_is_independent_of_robot_rotations(a, b, seed, count) -> None:
     rng = np.random.default_rng(seed)
     before = markers(rng.uniform(0, 600, (count, 2)) @ [1, 1j], 20 * np.exp(1j * rng.uniform(-3, 3, count)))
     after = apply_similarity(before, (a, b))
@@ -42,7 +42,7 @@ def test_the_common_motion_is_the_cameras_however_each_robot_turned(a, b, seed, 
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_one_or_two_markers_tell_the_scale_by_their_sides_and_no_rotation(count) -> None:
+def test_one_or_two_markers_give_scale_by_side_and_no_rotation(count) -> None:
     """Though each turned by itself, and two drove past one another."""
     before = markers([100 + 50j, 160 + 50j][:count], [20, 20j][:count])
     own_ways = np.array([0j]) if count == 1 else np.array([4j, -4j])
@@ -117,9 +117,7 @@ def followed(sequence, change, monkeypatch):
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
-def test_markers_that_all_moved_are_found_without_a_search_of_the_whole_image(
-    sequence, monkeypatch, change
-) -> None:
+def test_markers_that_all_moved_are_found_without_full_search(sequence, monkeypatch, change) -> None:
     """All twenty, and measured as in an image by itself: to a fifth of their standard deviations."""
     seen, looked = followed(sequence, change, monkeypatch)
     assert looked == [0]
@@ -149,9 +147,7 @@ def test_one_robot_that_turned_by_itself_is_found_near_its_place(sequence, monke
     assert looked == [0] and seen[4].ids.tolist() == IDS.tolist()
 
 
-def test_a_marker_that_leaves_the_view_is_not_searched_for_in_the_whole_image(
-    place_markers, draw_markers, monkeypatch
-) -> None:
+def test_marker_leaving_the_view_causes_no_full_search(place_markers, draw_markers, monkeypatch) -> None:
     """One at the right border drives out; one that vanishes in the middle is, the negative control."""
     looked, real = [], PhotometricDetector._search_with_fallback
     monkeypatch.setattr(
@@ -167,7 +163,7 @@ def test_a_marker_that_leaves_the_view_is_not_searched_for_in_the_whole_image(
     assert seen.ids.tolist() == [0, 1] and looked == [0, 8]
 
 
-def test_quadrilaterals_near_places_are_those_of_the_whole_image_there(sequence) -> None:
+def test_local_quad_search_matches_the_full_search(sequence) -> None:
     """At two places, one of which reaches over the border; at all places it is the whole image."""
     image, places = sequence(0)[0], HOMES[[0, 7]]
     whole = find_quads(image).mean(axis=1) @ [1, 1j]

@@ -161,7 +161,7 @@ def test_ids_that_repeat_are_all_told_if_one_asks(place_markers, draw_markers):
 
 
 @pytest.mark.parametrize("name", ["4X4_50", "APRILTAG_16h5", "5X5_100"])
-def test_a_codes_distance_is_the_least_of_all_pairs_however_turned(name):
+def test_code_distance_is_the_minimum_over_pairs_and_rotations(name):
     bits = [marker_cells(name, marker)[1:-1, 1:-1] for marker in range(dictionary_size(name))]
     least = min(
         np.count_nonzero(bits[i] != np.rot90(bits[j], turn))

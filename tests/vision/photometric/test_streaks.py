@@ -41,7 +41,7 @@ def test_headings_under_a_streak_are_as_good_as_reported(monkeypatch):
     assert score(11, 1, 1, motion_px=4.0, blur_px=0.8).nees_heading > 1 + 8 * 0.35
 
 
-def test_one_marker_alone_tells_its_streak_and_says_how_uncertain_it_is():
+def test_one_marker_gives_its_streak_with_a_covariance():
     """12 images of one marker under 3 px: the streak is known from that marker only."""
     seen = score(3, 2, 6, markers=1, motion_px=3.0, blur_px=0.8)
     assert seen.found == 12

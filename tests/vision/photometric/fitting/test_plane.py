@@ -76,7 +76,7 @@ def test_squeezes_are_those_of_small_squares_under_a_true_camera(seed):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_horizons_make_the_shapes_images_those_of_the_true_camera(seed):
+def test_perspective_terms_reproduce_the_true_camera(seed):
     """The whole card, and points three sides away, as the homography maps them; Jacobians as above."""
     homography = random_homography(seed)
     ground, turns, homographies = squares_at(homography, POINTS)

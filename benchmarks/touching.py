@@ -26,7 +26,7 @@ NOISE, BLUR_PX = 1.5, 0.5
 
 
 def board(dictionary: str, *, touching: bool) -> tuple[npt.NDArray[np.float32], Array, float]:
-    """Return a board of whiteness, the markers' centres (36, 2), and the side of a marker, px of the board."""
+    """Return a board of whiteness, the centres (36, 2) of its markers and their side, px of the board."""
     n = len(marker_cells(dictionary, 0))
     side = n * CELL_PX
     places = [(r, c) for r in range(ROWS) for c in range(COLUMNS) if (r + c) % 2 == 0]

@@ -143,7 +143,7 @@ def verify_and_refit(
     odds = _best_odds(image, dictionary, edges.corners_px, _corners(fits.take(rest)))
     fits = replace(fits, log_odds=_put(fits.log_odds, rest, odds.log_odds))
     worth = _put(good, rest, odds.log_odds > MIN_REFIT_LOG_ODDS)
-    doubtful = np.flatnonzero(~good & worth & may_be_occluded(fits, floor))
+    doubtful = np.flatnonzero((good | worth) & may_be_occluded(fits, floor))
     if doubtful.size:
         covered = fits.take(doubtful)
         visible = fit_visible_all_sizes(image, dictionary, covered, with_usual_blur(covered), plane, floor)

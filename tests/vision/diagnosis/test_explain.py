@@ -383,7 +383,7 @@ def test_another_dictionary_is_suggested(draw) -> None:
 
 
 def test_a_drawn_marker_is_read_with_its_levels_and_blur() -> None:
-    """Blurred by a Gaussian of 0.4 cells: likeness 1 but for sampling, its levels, and that blur."""
+    """Blurred by a Gaussian of 0.4 cells: likeness 1 except for sampling, its levels, and that blur."""
     cells = np.pad(np.where(marker_cells(DICTIONARY, 17), 200, 40), 2, constant_values=200).astype(np.uint8)
     image = cv2.GaussianBlur(np.kron(cells, np.ones((20, 20), np.uint8)), (0, 0), 8.0)
     corners = np.array([[40, 40], [160, 40], [160, 160], [40, 160]]) - 0.5

@@ -25,7 +25,7 @@ def score(seed, cameras, frames, **factors):
     return scorer.score()
 
 
-def is_round(image, dictionary, fits, good, shared):
+def is_round(image, dictionary, fits, good, shared, worth):
     """In place of `with_streak`: every image is taken to have none."""
     return fits, good, shared
 

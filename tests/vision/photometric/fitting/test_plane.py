@@ -123,7 +123,7 @@ def test_noise_alone_is_rarely_taken_for_a_plane():
 
 @pytest.mark.parametrize(("horizon", "unknowns"), [(0j, 2), (2e-4 - 1e-4j, 4)])
 def test_the_simplest_plane_that_explains_is_taken(horizon, unknowns):
-    """Pixels that are only oblong need no horizon, a tilt does; both are kept but for the noise's rate."""
+    """Pixels that are only oblong need no horizon, a tilt does; both are kept except for the noise's rate."""
     rng, sigma, plane = np.random.default_rng(4), 1e-3, Plane(0.03 + 0.01j, horizon)
     variances = np.full(POINTS.size, sigma**2)
     found = [fit_plane(POINTS, plane.squeezes(POINTS) + noise(rng, sigma), variances) for _ in range(300)]

@@ -4,7 +4,7 @@ A followed marker is fitted where its own last steps lead, then where the common
 it, and at last searched for near these places (`skyherd.vision.photometric.tracks`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -105,7 +105,7 @@ def _fit_tracks(
     lost = np.flatnonzero(~is_promising(fits))
     if not lost.size:
         return fits, start, plane
-    moved = _moved(image, dictionary, state, start, fits)
+    moved = _moved(image, dictionary, replace(state, plane=plane), start, fits)
     again = shifts_sides(start.take(lost), moved.take(lost)) > MIN_SHIFT_SIDES
     if not again.any():
         return fits, start, plane

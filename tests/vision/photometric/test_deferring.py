@@ -1,4 +1,4 @@
-"""Searching later: nobody waits for it, and what it finds is what searching at once finds."""
+"""Deferred searches: detection does not wait for them, and they find what an immediate search finds."""
 
 import numpy as np
 import pytest

@@ -30,6 +30,7 @@ from skyherd.vision.photometric.candidates import (
 )
 from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.following import follow
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.measure import measure_candidates
@@ -51,6 +52,10 @@ FALLBACK_INTERVAL, FALLBACK_AFTER_SUCCESS = 10, 2
 nothing, and of the second number if it did. Chosen: it takes 45 ms of a core where the search takes 4, and
 finds small or blurred markers. One that it alone can find waits 50 images at most. So does a small one
 beside markers that are followed, around which the other searches do not look."""
+
+MIN_FOLLOWED_SHARE = 0.6
+"""Smallest share of the followed markers whose places are believed. Chosen: below it the image is taken for
+that of another place or camera, and is searched as if nothing were known but blur and noise."""
 
 FAINT_SHARE = 0.025
 """While all markers are followed, searches look only where dark pixels crowd by this share of the contrast of
@@ -112,6 +117,10 @@ class PhotometricDetector:
         state = self.states.get(unit_id, CameraState()) if self.following else CameraState()
         followed = follow(image, self.dictionary, state, time_s)
         found = followed.found
+        if followed.is_missing and len(found.ids) < MIN_FOLLOWED_SHARE * np.count_nonzero(
+            state.tracks.missed == 0
+        ):
+            followed, found = replace(followed, plane=Plane()), self._none
         state = replace(state, plane=followed.plane, unsearched=state.unsearched + 1)
         is_amiss = followed.is_missing or not len(found.ids)
         if is_amiss or self._is_due(state):

@@ -19,7 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from clutter import OVERSAMPLING, PATTERN_PX, SQUARE, Pattern
+from clutter import OVERSAMPLING
 
 from skyherd.files.atomic import write_text
 from skyherd.geometry import Array
@@ -32,20 +32,17 @@ FINE, FOCAL_PX, MAX_TILT_DEG = 3, 800.0, 40.0
 """Ground pixels along an image pixel, focal length of the camera, and its largest tilt."""
 
 COLUMNS, ROWS = 4, 3
+CARD_CELL_PX = 20
 SAME_PLACE = 0.3
 Grey = npt.NDArray[np.float32]
 """Whiteness or grey levels of an image, (height, width)."""
 
 
-def marker_pattern(dictionary: str, marker: int, ground: float, margin_cells: float = 1.0) -> Pattern:
-    """Return a marker as a pattern, on a white card of a margin in cells."""
+def marker_card(dictionary: str, marker: int, margin_cells: float) -> Grey:
+    """Return the whiteness of a marker on a white card of a margin in cells, `CARD_CELL_PX` for each cell."""
     cells = marker_cells(dictionary, marker).astype(np.float32)
-    pattern = np.full((PATTERN_PX, PATTERN_PX), ground, dtype=np.float32)
-    margin = int(min(margin_cells * 128 / len(cells), 32))
-    card = slice(SQUARE.start - margin, SQUARE.stop + margin)
-    pattern[card, card] = 0.95
-    pattern[SQUARE, SQUARE] = 0.05 + 0.9 * cv2.resize(cells, (128, 128), interpolation=cv2.INTER_NEAREST)
-    return pattern
+    square = np.kron(0.05 + 0.9 * cells, np.ones((CARD_CELL_PX, CARD_CELL_PX), dtype=np.float32))
+    return np.pad(square, int(margin_cells * CARD_CELL_PX), constant_values=0.95)
 
 
 def camera(rng: np.random.Generator, max_tilt_deg: float) -> Array:
@@ -69,15 +66,13 @@ def scene(dictionary: str, rng: np.random.Generator, margin_cells: float) -> tup
     places = (grid - [(COLUMNS - 1) / 2, (ROWS - 1) / 2]) * [width / COLUMNS, height / ROWS] * 0.85
     places += rng.uniform(-12, 12, places.shape)
     for marker, place in zip(ids.tolist(), places, strict=True):
-        pattern = marker_pattern(dictionary, marker, 0.5, margin_cells)
-        angle, scale = rng.uniform(0, 2 * np.pi), SIDE_PX * FINE / 128
+        card = marker_card(dictionary, marker, margin_cells)
+        angle, side = rng.uniform(0, 2 * np.pi), CARD_CELL_PX * len(marker_cells(dictionary, marker))
+        scale, half = SIDE_PX * FINE / side, card.shape[0] / 2 - 0.5
         turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        card = int(min(margin_cells * 128 / len(marker_cells(dictionary, marker)), 32))
-        inner = slice(SQUARE.start - card, SQUARE.stop + card)
-        half = (128 + 2 * card) / 2 - 0.5
         shift = middle + FINE * place - turn @ [half, half]
         cv2.warpAffine(
-            pattern[inner, inner],
+            card,
             np.column_stack([turn, shift]),
             ground.shape[::-1],
             ground,

@@ -99,6 +99,10 @@ MIN_LOG_ODDS, MAX_DOUBT = 9.0, 0.6
 """A candidate is accepted from the first log odds on, or where a dictionary has too few bits for that, if it
 falls short of the most that an image can show by the second at most. Measured: `benchmarks/clutter.py`."""
 
+MAX_CONTRADICTION, MIN_LOCAL_RANGE = 0.07, 0.15
+"""Largest share of cells that their neighbours may contradict, and the range among neighbours, as share of
+the marker's, from which they count. Chosen: between what blur or glare changes and a shaded half."""
+
 CARD_WIDTHS_CELLS, NARROW_ODDS = (0.15, 0.4, 0.7), 0.1
 """Widths of narrow white cards, in cells, and the prior probability of a narrow card. Chosen."""
 
@@ -245,6 +249,8 @@ def _odds_of_codes(
             against[few, 2] = mine[few] - _log_rectangles(these, spread)
             against[few, 3] = mine[few] - _log_grids(these, whiteness[few], spread, dictionary)
         log_odds = np.where(seen, -np.logaddexp.reduce(-against, axis=1), -np.inf)
+        white = _codes(dictionary)[0][codes[rows, best]] < 0.5
+        log_odds[_contradictions(samples, white) > MAX_CONTRADICTION] = -np.inf
     against[~seen] = -np.inf
     ids, turns = np.divmod(codes[rows, best], 4)
     outliers = fits.outliers[rows, best][:, _design(n).on_card].mean(axis=1)
@@ -539,6 +545,21 @@ def _fit_cards(samples: _Samples, white: Array) -> _Fits:
         np.where(better, narrow.stds, wide.stds),
         np.where(better[..., None], narrow.outliers, wide.outliers),
     )
+
+
+def _contradictions(samples: _Samples, white: BoolArray) -> Array:
+    """Return the share (N,) of cells that their neighbours show in another colour than codes (N, n, n) have.
+
+    Under a hard shadow a code can explain the lit half and take all of the shaded half for black. Each cell
+    is therefore also compared with the darkest and brightest of the cells around it, where these differ.
+    """
+    n = samples.n_cells
+    cells = samples.readings.reshape(-1, n + 2, PARTS, n + 2, PARTS).mean(axis=(2, 4))
+    around = np.lib.stride_tricks.sliding_window_view(cells, (3, 3), axis=(1, 2))
+    dark, bright = around.min(axis=(3, 4)), around.max(axis=(3, 4))
+    differ = bright - dark > MIN_LOCAL_RANGE * samples.ranges[:, None, None]
+    wrong = (cells[:, 1:-1, 1:-1] > (dark + bright) / 2) != white
+    return np.asarray((wrong & differ).mean(axis=(1, 2)))
 
 
 def _whiteness(readings: Array, fits: _Fits, best: IntArray, n_cells: int) -> tuple[Array, Array]:

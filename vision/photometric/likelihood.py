@@ -27,6 +27,7 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 from scipy.special import ndtr
 
 from skyherd.geometry import UNIFORM_VARIANCE, Array, BoolArray, IntArray
@@ -50,6 +51,10 @@ often cut, narrow or covered."""
 SPOILT_CELLS = 0.02
 """Prior probability that a cell shows the other colour, as under glare, a cover or where ink is worn. Chosen:
 a marker of 36 bits then keeps enough evidence with two such cells, and one of 16 bits does not with one."""
+
+FIRST_ZONE_SHARE = 0.2
+"""Weight of the parts around the marker in the first step of a fit. Chosen: a dark ground beyond a narrow
+card then does not draw the levels."""
 
 OUTLIER_RANGE = 3.0
 """Range of outliers, in units of the readings' range. Chosen: saturated glare beside a dark marker."""
@@ -134,6 +139,9 @@ MIN_STD, MIN_UNEXPLAINED = 1e-6, 1e-3
 the ground does not explain."""
 
 
+Array32 = npt.NDArray[np.float32]
+
+
 @dataclass(frozen=True)
 class MarkerOdds(RowRecord):
     """Evidence for N candidates.
@@ -195,8 +203,8 @@ def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
     samples = _Samples.read(image, corners_px, n)
     nearest = _nearest_codes(samples.readings, dictionary)
     odds = _odds_of_codes(samples, nearest[:, :FIRST_CODES], dictionary, first=True)
-    likely = (odds.against[:, :2] > FIRST_LOG_ODDS).all(axis=1) & (odds.noise_stds < MAX_FIRST_STD)
-    likely = np.flatnonzero(likely)
+    hopeful = (odds.against[:, :2] > FIRST_LOG_ODDS).all(axis=1) & (odds.noise_stds < MAX_FIRST_STD)
+    likely = np.flatnonzero(hopeful)
     if not likely.size:
         return odds
     return odds.put(likely, _odds_of_codes(samples.take(likely), nearest[likely], dictionary))
@@ -356,7 +364,7 @@ def _unit_square_homographies(corners_px: Array) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _codes(dictionary: str) -> tuple[Array, Array]:
+def _codes(dictionary: str) -> tuple[Array32, Array32]:
     """Black cells (4 D, n, n) of all markers in all turns, and the standardised whiteness of blurred cells.
 
     Row 4 i + t is marker i turned by t quarters; the second is (blurs x 4 D, n²).
@@ -365,14 +373,12 @@ def _codes(dictionary: str) -> tuple[Array, Array]:
     cells = np.stack([marker_cells(dictionary, i) for i in range(dictionary_size(dictionary))])
     turned = np.stack([np.rot90(cells, -turn, axes=(1, 2)) for turn in range(4)], axis=1).reshape(-1, n, n)
     black = (~turned).astype(np.float32)
-    middles = np.arange(n) + 0.5
-    blurred = []
+    middles, blurred = np.arange(n, dtype=float) + 0.5, []
     for blur in CELL_BLURS:
-        gathered = gather(middles, np.arange(n + 1.0), math.hypot(blur, UNIFORM_VARIANCE**0.5)).astype(
-            np.float32
-        )
+        sigma = math.hypot(blur, UNIFORM_VARIANCE**0.5)
+        gathered = gather(middles, np.arange(n + 1.0), sigma).astype(np.float32)
         blurred.append(standardised(-(gathered @ black @ gathered.T).reshape(len(black), -1)))
-    return black, np.concatenate(blurred)
+    return black, np.asarray(np.concatenate(blurred), dtype=np.float32)
 
 
 def _nearest_codes(readings: Array, dictionary: str) -> IntArray:
@@ -438,7 +444,7 @@ def _design(n_cells: int) -> _Design:
     return _Design(
         np.column_stack([ones, x, y, x * x, x * y, y * y]),
         np.column_stack([ones, x, y]),
-        prior,
+        np.asarray(prior, dtype=float),
         prior < ZONE_OUTLIERS,
     )
 
@@ -471,7 +477,7 @@ def _fit(
     y = readings[:, None] / scales[:, None, None]
     size = 6 if ground is None else 7
     products = (None, white, white * white)
-    share = np.ones_like(white)
+    share = np.broadcast_to(np.where(design.on_card, 1.0, FIRST_ZONE_SHARE), white.shape)
     std = np.full((count, hypotheses), USUAL_STD * 5)
     prior = design.outlier_priors
     normal = np.zeros((count, hypotheses, size, size))
@@ -534,8 +540,8 @@ def _fit_cards(samples: _Samples, white: Array) -> _Fits:
     grounds = [_ground(samples.n_cells, width, SHARPEST_CELLS) for width in CARD_WIDTHS_CELLS]
     rows = np.arange(len(white))
     likeliest = white[rows, wide.logs.argmax(axis=1)][:, None]
-    logs = [_fit(samples, likeliest, ground[None, None]).logs[:, 0] for ground in grounds]
-    chosen = np.stack(grounds)[np.argmax(logs, axis=0)][:, None]
+    by_width = [_fit(samples, likeliest, ground[None, None]).logs[:, 0] for ground in grounds]
+    chosen = np.stack(grounds)[np.argmax(by_width, axis=0)][:, None]
     narrow = _fit(samples, white, chosen)
     logs = narrow.logs + math.log(NARROW_ODDS)
     better = logs > wide.logs

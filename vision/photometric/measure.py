@@ -142,7 +142,8 @@ def verify_and_refit(
     edges = fit_edges(image, corners_px[rest], cells_per_side(dictionary))
     odds = _best_odds(image, dictionary, edges.corners_px, _corners(fits.take(rest)))
     fits = replace(fits, log_odds=_put(fits.log_odds, rest, odds.log_odds))
-    worth = _put(good, rest, odds.log_odds > MIN_REFIT_LOG_ODDS)
+    worth = good.copy()
+    worth[rest] = odds.log_odds > MIN_REFIT_LOG_ODDS
     doubtful = np.flatnonzero((good | worth) & may_be_occluded(fits, floor))
     if doubtful.size:
         covered = fits.take(doubtful)

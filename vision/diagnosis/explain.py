@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.markers.dictionary import card_side, code_distance
+from skyherd.markers.dictionary import card_side, cells_per_side, code_distance
 from skyherd.messages import Detections
 from skyherd.vision.detectors.registry import create_detector
 from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches, dark_quads
@@ -35,8 +35,10 @@ from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.image_noise import image_noise
+from skyherd.vision.photometric.likelihood import MarkerOdds, marker_odds, min_log_odds
 from skyherd.vision.photometric.verify import Quantity, verification_tests
 from skyherd.vision.search.decode import decode_quads
+from skyherd.vision.search.edges import fit_edges
 
 GROWTHS_PX = (0.5, 1.0)
 """By how much a contour is moved outwards and read again, px. Derived: thresholds lose up to a pixel of an
@@ -53,6 +55,9 @@ fitted, a likeness. Chosen: more than likenesses of markers in one place differ 
 VISIBLE_EXPONENT = 0.25
 """Exponent of the share in the image in a candidate's rank. Chosen: a square half outside loses a sixth."""
 
+RIVALS = ("another marker", "bits by chance", "a light rectangle", "another grid")
+"""What a candidate may be instead of a marker, in the order of `MarkerOdds.against`."""
+
 GUESS, SURE, MIN_VISIBLE = 0.75, 0.93, 0.4
 """Likeness at first and second look, and share in the image, that make a guessed square a marker. Chosen
 high, since many squares are guessed and chance is like some marker too."""
@@ -67,12 +72,16 @@ class Rejection:
         measured: the quantity that fails, with its limit; None if the reason is no quantity.
         reading: what its cells read.
         words: the reason with its numbers, and what to do about it.
+        log_odds: natural logarithm of the odds that it is a marker, at its edges; -inf if that is hopeless.
+        rival: what else it is most likely to be.
     """
 
     reason: Reason
     measured: Measured | None
     reading: Reading
     words: str
+    log_odds: float
+    rival: str
 
     @property
     def corners_px(self) -> Array:
@@ -109,7 +118,8 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
     there = Counter(detections.ids.tolist())
     there.update(s.reading.nearest_id for s in suspects if s.good or _is_exact(s.reading))
     rejections = []
-    for suspect in suspects:
+    odds = _odds(image, [suspect.reading.corners_px for suspect in suspects], dictionary)
+    for suspect, log_odds, against in zip(suspects, odds.log_odds.tolist(), odds.against, strict=True):
         reading = suspect.reading
         if not suspect.seen:
             suspect = replace(suspect, failed=_failed_all_the_same(image, detector, reading))
@@ -117,9 +127,20 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
         reason, measured = find_reason(suspect, again=again)
         if reason is Reason.NO_BITS and not is_dark(reading):
             continue
+        rival = RIVALS[int(np.argmin(np.nan_to_num(against, nan=np.inf)))]
         words = describe(reason, measured, reading, dictionary)
-        rejections.append(Rejection(reason, measured, reading, words))
+        if np.isfinite(log_odds):
+            least = min_log_odds(dictionary)
+            words += f"; log odds of a marker {log_odds:.1f} against {rival}, at least {least:.1f}"
+        rejections.append(Rejection(reason, measured, reading, words, log_odds, rival))
     return sorted(rejections, key=lambda rejection: rejection.reason is Reason.NO_BITS)
+
+
+def _odds(image: Image, corners_px: list[Array], dictionary: str) -> MarkerOdds:
+    """The evidence that candidates are markers, at the poses by their edges."""
+    corners = np.array(corners_px).reshape(-1, 4, 2)
+    edges = fit_edges(image, corners, cells_per_side(dictionary))
+    return marker_odds(image, edges.corners_px, dictionary)
 
 
 def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detections) -> list[Suspect]:

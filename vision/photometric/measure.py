@@ -60,6 +60,10 @@ CORNER_STD_PX = 0.5
 """Standard deviation of a corner by its edges against one by a fit, px. Chosen: half a pixel of blur and
 processing. A fit's pose costs `d² / 2 CORNER_STD_PX²` of log odds for each corner that is d px off."""
 
+MIN_OUTLINE_SHARE = 0.25
+"""Smallest brightening outwards from a marker's sides, as a share of its contrast. Chosen: a narrow card on
+black ground shows a half of it under blur, and a grid within a wider border next to nothing."""
+
 CHI2_MEDIAN, MIN_VARIANCE = 0.455, 1e-9
 """Median of the chi-squared distribution with one degree of freedom, and the least variance that is divided
 by."""
@@ -141,6 +145,8 @@ def verify_and_refit(
     rest = np.flatnonzero(~good)
     edges = fit_edges(image, corners_px[rest], cells_per_side(dictionary))
     odds = _best_odds(image, dictionary, edges.corners_px, _corners(fits.take(rest)))
+    has_outline = edges.rises >= MIN_OUTLINE_SHARE * odds.contrasts
+    odds = replace(odds, log_odds=np.where(has_outline, odds.log_odds, -np.inf))
     fits = replace(fits, log_odds=_put(fits.log_odds, rest, odds.log_odds))
     worth = good.copy()
     worth[rest] = odds.log_odds > MIN_REFIT_LOG_ODDS
@@ -173,7 +179,11 @@ def verify_and_refit(
         rows = rest[accepted]
         unexplained = replace(fits.take(rows), ids=odds.ids[accepted])
         outlines = EdgeFits(
-            turned, edges.spreads_px[accepted], edges.supports[accepted], edges.variances[accepted]
+            turned,
+            edges.spreads_px[accepted],
+            edges.supports[accepted],
+            edges.variances[accepted],
+            edges.rises[accepted],
         )
         measured = _measured(image, dictionary, unexplained, plane, floor, outlines)
         fits, good = _replaced(fits, good, rows, measured)

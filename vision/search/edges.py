@@ -52,12 +52,14 @@ class EdgeFits:
         spreads_px: (N,) standard deviation of an edge point about its line.
         supports: (N,) share of the edge points that are inliers.
         variances: (N, 3) of the centre along both image axes, px², and of the heading, rad².
+        rises: (N,) median brightening outwards on the normals, grey levels.
     """
 
     corners_px: Array
     spreads_px: Array
     supports: Array
     variances: Array
+    rises: Array
 
 
 def fit_edges(image: Image, corners_px: Array, n_cells: int) -> EdgeFits:
@@ -71,7 +73,7 @@ def fit_edges(image: Image, corners_px: Array, n_cells: int) -> EdgeFits:
         n_cells: cells along a marker's side, border included.
     """
     corners = to_complex(corners_px)
-    spreads, supports = np.zeros((2, len(corners)))
+    spreads, supports, rises = np.zeros((3, len(corners)))
     sides_px = np.abs(np.roll(corners, -1, axis=1) - corners).mean(axis=1)
     for _ in range(ROUNDS if len(corners) else 0):
         sides = np.roll(corners, -1, axis=1) - corners
@@ -82,12 +84,15 @@ def fit_edges(image: Image, corners_px: Array, n_cells: int) -> EdgeFits:
         feet = corners[..., None] + sides[..., None] * along
         offsets = reach[:, None] * np.arange(-STEPS, STEPS + 1) / STEPS
         at = feet[..., None] + outward[..., None, None] * offsets[:, None, None, :]
-        edges, weights = _edges_on_normals(_sampled(image, at), offsets)
+        grey = _sampled(image, at)
+        edges, weights = _edges_on_normals(grey, offsets)
+        rises = np.median(np.maximum(np.diff(grey, axis=-1), 0.0).sum(axis=-1), axis=(1, 2))
         shift, tilt, spreads, supports = _robust_lines(along - 0.5, edges, weights)
         points = corners + sides * 0.5 + outward * shift
         directions = sides / lengths + outward * tilt / lengths
         corners = _meeting(points, directions, corners)
-    return EdgeFits(to_points(corners), spreads, supports, _variances(spreads, supports, sides_px))
+    variances = _variances(spreads, supports, sides_px)
+    return EdgeFits(to_points(corners), spreads, supports, variances, rises)
 
 
 def _variances(spreads_px: Array, supports: Array, sides_px: Array) -> Array:

@@ -82,7 +82,7 @@ def test_two_wrong_bits_of_36_are_accepted_and_six_refused() -> None:
 
 
 def test_log_odds_do_not_depend_on_light() -> None:
-    """Levels times 0.4 plus 60 leave the log odds, but for the rounding of grey levels."""
+    """Levels times 0.4 plus 60 leave the log odds, apart from the rounding of grey levels."""
     levels = card(marker_cells("4X4_50", 3))
     bright, pale = (
         marker_odds(noisy(one, 1, 0.5), corners(6), "4X4_50") for one in (levels, 60 + 0.4 * levels)

@@ -36,7 +36,7 @@ BLUR_STEP = 1.2
 """Ratio of consecutive pattern blurs, which form a geometric progression. Chosen: the correlation depends
 little on the blur, and a smaller ratio needs more memory."""
 
-MIN_CELL_DEVIATION = 3.0
+MIN_CELL_DEVIATION = 1.5
 """Smallest standard deviation of a quadrilateral's cells, grey levels. Chosen: uniform ground and noise have
 less."""
 

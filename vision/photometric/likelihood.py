@@ -152,6 +152,7 @@ class MarkerOdds(RowRecord):
         log_odds: (N,) natural logarithms of the odds that it is that marker.
         against: (N, 4) log odds against other codes, bits by chance, light rectangles, other grids alone;
             infinite where others made them needless.
+        blacks: (N,) grey level of black at the centre.
         contrasts: (N,) grey levels from black to white.
         noise_stds: (N,) standard deviation of the readings' errors, share of their range.
         outlier_shares: (N,) share of the marker's parts that are outliers.
@@ -161,6 +162,7 @@ class MarkerOdds(RowRecord):
     turns: IntArray
     log_odds: Array
     against: Array
+    blacks: Array
     contrasts: Array
     noise_stds: Array
     outlier_shares: Array
@@ -199,7 +201,7 @@ def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
     n = cells_per_side(dictionary)
     if not len(corners_px):
         none = np.zeros(0, dtype=np.int64)
-        return MarkerOdds(none, none, np.zeros(0), np.zeros((0, 4)), np.zeros(0), np.zeros(0), np.zeros(0))
+        return MarkerOdds(none, none, np.zeros(0), np.zeros((0, 4)), *([np.zeros(0)] * 4))
     samples = _Samples.read(image, corners_px, n)
     nearest = _nearest_codes(samples.readings, dictionary)
     odds = _odds_of_codes(samples, nearest[:, :FIRST_CODES], dictionary, first=True)
@@ -262,9 +264,8 @@ def _odds_of_codes(
     against[~seen] = -np.inf
     ids, turns = np.divmod(codes[rows, best], 4)
     outliers = fits.outliers[rows, best][:, _design(n).on_card].mean(axis=1)
-    return MarkerOdds(
-        ids, turns, log_odds, against, fits.levels[rows, best, 1], fits.stds[rows, best], outliers
-    )
+    blacks, contrasts = fits.levels[rows, best, :2].T
+    return MarkerOdds(ids, turns, log_odds, against, blacks, contrasts, fits.stds[rows, best], outliers)
 
 
 @dataclass(frozen=True)

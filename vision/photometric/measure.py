@@ -177,7 +177,12 @@ def verify_and_refit(
         order = (odds.turns[accepted, None] + np.arange(4)) % 4
         turned = np.take_along_axis(edges.corners_px[accepted], order[..., None], axis=1)
         rows = rest[accepted]
-        unexplained = replace(fits.take(rows), ids=odds.ids[accepted])
+        unexplained = replace(
+            fits.take(rows),
+            ids=odds.ids[accepted],
+            blacks=odds.blacks[accepted],
+            contrasts=odds.contrasts[accepted],
+        )
         outlines = EdgeFits(
             turned,
             edges.spreads_px[accepted],

@@ -1,7 +1,7 @@
 """The ground: a periodic texture, band-limited at every scale it is seen at, with clutter on it.
 
 A texture is kept at several resolutions, each low-passed by the image's own blur at that resolution, so that
-drawing it by one warp per image does not alias. What a camera that stands still sees is kept and copied.
+drawing it by one warp per image does not alias. The view of a camera that stands still is kept and copied.
 """
 
 from collections import deque
@@ -103,7 +103,7 @@ class Ground:
         self._drawn: dict[bytes, Image] = {}
 
     def draw(self, homography: Array, size_px: tuple[int, int]) -> Image:
-        """The texture as a pinhole camera sees it, without clutter: grey levels (height, width).
+        """Return the texture as a pinhole camera sees it, without clutter: grey levels (height, width).
 
         Args:
             homography: (3, 3) from ground metres to pixels.
@@ -123,7 +123,7 @@ class Ground:
         return drawn
 
     def draw_bent(self, images: ShapeImages) -> Image:
-        """The texture as seen through lens and rolling shutter: grey levels (height, width).
+        """Return the texture as seen through lens and rolling shutter: grey levels (height, width).
 
         `images` are those of the ground itself, in metres (`View.ground`). Each pixel looks up its own
         sample.
@@ -147,7 +147,7 @@ class Ground:
         )
 
     def _choose(self, homography: Array, size_px: tuple[int, int]) -> tuple[Image, Array]:
-        """The texture fine enough for a view, and the map (3, 3) from pixels to its samples."""
+        """Return the texture fine enough for a view, and the map (3, 3) from pixels to its samples."""
         width, height = size_px
         image_ground = inverse(homography)
         center = image_ground @ [width / 2, height / 2, 1.0]
@@ -178,7 +178,7 @@ def _concrete_spectrum(seed: int, mean: float, contrast: float) -> npt.NDArray[n
 
 
 def _laid(tile: Image, copies: int) -> Image:
-    """A square texture side by side, so many times along either side, with `APART_BYTES` between rows."""
+    """Return a square texture repeated along either side, with `APART_BYTES` between rows."""
     side = copies * len(tile)
     laid = np.empty((side, side + APART_BYTES), dtype=np.uint8)[:, :side]
     laid.reshape(copies, len(tile), copies, len(tile))[:] = tile[None, :, None, :]
@@ -197,13 +197,13 @@ def _warp(laid: Image, sample_image: Array, size_px: tuple[int, int]) -> Image:
 
 
 def _local_scale(homography: Array, at_m: Array) -> float:
-    """Pixels a metre near one ground point: root of the Jacobian's determinant."""
+    """Return pixels a metre near one ground point: root of the Jacobian's determinant."""
     w = homography[2] @ [*at_m, 1.0]
     return float(np.sqrt(abs(np.linalg.det(homography)) / abs(w) ** 3))
 
 
 def _band_limited(spectrum: npt.NDArray[np.complex128], samples: int, sigma: float) -> Image:
-    """A texture at a resolution of `samples` a period, blurred by sigma samples."""
+    """Return a texture at a resolution of `samples` a period, blurred by sigma samples."""
     fy, fx = np.fft.fftfreq(PERIOD)[:, None] * PERIOD, np.fft.rfftfreq(PERIOD)[None, :] * PERIOD
     half = samples // 2
     rows = np.r_[0:half, PERIOD - half : PERIOD]

@@ -22,7 +22,7 @@ RING: Array = 1.0824 * np.exp(2j * np.pi * (np.arange(8) + 0.5) / 8).view(float)
 
 
 def framed(levels: npt.NDArray[np.floating]) -> Float:
-    """Grey levels (N, m, m) of grids, rows along y, in a border of empty cells, for `paint_lattices`."""
+    """Return grey levels (N, m, m) of grids in a border of empty cells, for `paint_lattices`."""
     return np.pad(levels.astype(np.float32), ((0, 0), (1, 1), (1, 1)))
 
 
@@ -51,7 +51,7 @@ def paint_discs(canvas: Canvas, images: ShapeImages, levels: Array, spread: Edge
 
 
 def _arguments(canvas: Canvas, images: ShapeImages, corners: Array, spread: EdgeSpread) -> tuple[Any, ...]:
-    """What kernels end with (`kernels.pixels.SHAPES`), of shapes bounded by `corners` (V, 2) of their own.
+    """Return the last arguments of kernels (`kernels.pixels.SHAPES`) for shapes with `corners` (V, 2).
 
     Only shapes that are seen are among them. Of image and light the one is empty that the canvas is not.
     """

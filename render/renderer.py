@@ -185,7 +185,7 @@ class Renderer:
         paint_discs(canvas, view.images(lambda _: shape), np.array([disc.level]), self._spread)
 
     def _levels(self, ids: IntArray) -> Float:
-        """Levels of markers' cards, framed: row 0 is the forward edge, column 0 the left one.
+        """Return levels of markers' cards, framed: row 0 is the forward edge, column 0 the left one.
 
         The last team's are kept.
         """

@@ -34,7 +34,7 @@ Light = npt.NDArray[np.float32]
 
 BANK_EXTRA_PX = 256
 """By how much a bank of normal deviates is wider and higher than the image. *Chosen*: 65 536 offsets to read
-it at, so that noise hardly repeats; more cost memory."""
+it at, so that noise rarely repeats; more cost memory."""
 
 SHARPEST_EDGE = 1e-6
 """Least softness of a shadow's edge, halves of the image's shorter side. *Chosen*: keeps a division from
@@ -43,7 +43,7 @@ zero; it is far below a pixel."""
 
 @dataclass(frozen=True)
 class Illumination:
-    """How much of the scene's light arrives where in the image; each part is off at 0.
+    """Share of the scene's light that arrives at each place of the image; each part is off at 0.
 
     Attributes:
         vignetting: share of the light that the image's corners lack.
@@ -65,7 +65,7 @@ class Illumination:
 
     @property
     def even(self) -> bool:
-        """Whether all of the light arrives everywhere, so that the factor is 1."""
+        """Return whether all of the light arrives everywhere, so that the factor is 1."""
         return not (self.vignetting or self.gradient or self.shadow)
 
     def of(self, size_px: tuple[int, int]) -> Light:
@@ -135,13 +135,13 @@ class Sensor:
 
     @property
     def linear(self) -> bool:
-        """Whether light is changed by nothing but noise: 8-bit images can then be exposed as they are."""
+        """Return whether only noise changes the light; 8-bit images are then exposed as they are."""
         untouched = not self.shot and self.gain == 1 and self.illumination.even
         return untouched and not self.processing.develops
 
     @property
     def is_video(self) -> bool:
-        """Whether images are those of a video, whose encoder goes on from one to the next."""
+        """Return whether images are those of a video, whose encoder goes on from one to the next."""
         return self.processing.h264_crf is not None
 
     def expose(self, light: Image | Light, stream: int = 0) -> Image:
@@ -172,7 +172,7 @@ class Sensor:
             self._window(self._deviates_of(height, width), height, width)
 
     def _video(self, stream: int, shape: tuple[int, ...], crf: int) -> "VideoStream":
-        """The video of a camera; PyAV is loaded with the first one, for it takes long."""
+        """Return the video of a camera; PyAV is loaded with the first one, for it takes long."""
         from skyherd.render.processing.video_stream import VideoStream
 
         key = (stream, shape[0], shape[1])
@@ -181,7 +181,7 @@ class Sensor:
         return self._videos[key]
 
     def _convert(self, light: Light) -> Image:
-        """All of the law, in floating point."""
+        """Return all of the law, in floating point."""
         height, width = light.shape
         if not self.illumination.even:
             if (height, width) not in self._factors:
@@ -208,7 +208,7 @@ class Sensor:
         return np.clip(light, 0, 255, out=light).astype(np.uint8)
 
     def _add_noise(self, image: Image) -> Image:
-        """Rounded noise of `noise` grey levels, added with saturation, in place."""
+        """Return rounded noise of `noise` grey levels, added with saturation, in place."""
         if self.noise <= 0:
             return image
         height, width = image.shape

@@ -73,7 +73,7 @@ def ground_markers(positions_m: Array, headings_rad: Array, side_m: float) -> Ar
 def moving_markers(
     positions_m: npt.ArrayLike, headings_rad: npt.ArrayLike, side_m: float, motion: Motion
 ) -> Callable[[float], Array]:
-    """Function from an instant, s from the pose's, to `ground_markers` (N, 3, 3) as they are then."""
+    """Return function from an instant, s from the pose's, to `ground_markers` (N, 3, 3) as they are then."""
     positions, headings = np.asarray(positions_m, dtype=float), np.asarray(headings_rad, dtype=float)
     return lambda time_s: ground_markers(*motion.robots_at(positions, headings, time_s), side_m)
 
@@ -154,7 +154,7 @@ def project_markers(
 
 
 def _shares(images: ShapeImages, grounds: Array, occluders: Sequence[Occluder], side: float) -> Array:
-    """Share (M,) of squares of some side, in marker sides, that is in the image and not covered.
+    """Return share (M,) of squares of some side, in marker sides, that is in the image and not covered.
 
     Counted on a grid; `grounds` (M, 3, 3) are the squares' places on the ground.
     """

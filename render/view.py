@@ -48,15 +48,15 @@ class ShapeImages:
 
     @property
     def rolling(self) -> bool:
-        """Whether rows are seen at different times."""
+        """Return whether rows are seen at different times."""
         return len(self.times_s) > 1
 
     def only(self, shapes: IntArray) -> "ShapeImages":
-        """The images of the shapes with the numbers given (M,)."""
+        """Return the images of the shapes with the numbers given (M,)."""
         return replace(self, matrices=self.matrices[:, shapes])
 
     def _share_of_time(self, v_px: Array) -> Array:
-        """When rows v (...) are seen, in units in which the first and the last instant are -1 and 1."""
+        """Return the instants of rows v (...); the first and the last instant are -1 and 1."""
         height, (_, middle, last) = self.camera.size_px[1], self.times_s
         times_s = np.interp(v_px, [-0.5, height - 0.5], self.times_s[[0, -1]])
         return np.asarray((times_s - middle) / (last - middle))
@@ -70,7 +70,7 @@ class ShapeImages:
         return np.asarray(sum(w[..., None, None] * m[shape] for w, m in zip(parabola, matrices, strict=True)))
 
     def project(self, points: Array) -> Array:
-        """Pixels (N, V, 2) of points (V, 2) or (N, V, 2) in shape coordinates, through shutter and lens.
+        """Return pixels (N, V, 2) of points (V, 2) or (N, V, 2) of shapes, through shutter and lens.
 
         With a rolling shutter the row of a point depends on its time and the time on its row, which is solved
         by fixed-point steps.
@@ -95,32 +95,32 @@ class ShapeImages:
         return pixels
 
     def row_times(self) -> Array:
-        """When each row (height,) is seen, in units in which the first and the last instant are -1 and 1."""
+        """Return the instant of each row (height,); the first and the last instant are -1 and 1."""
         rows = np.arange(self.camera.size_px[1], dtype=float)
         return self._share_of_time(rows) if self.rolling else np.zeros_like(rows)
 
     @property
     def bent(self) -> bool:
-        """Whether straight lines are seen bent, by lens or rolling shutter."""
+        """Return whether straight lines are seen bent, by lens or rolling shutter."""
         return self.rolling or bool(self.camera.distortion)
 
     def lens(self) -> LensField | None:
-        """What the lens does to each pixel; None if it does nothing."""
+        """Return the lens displacement of each pixel, or None without one."""
         return lens_field(self.camera, self.zoom)
 
     def before_horizon(self, points: Array) -> BoolArray:
-        """Which shapes (N,) have all points (V, 2) of theirs on the camera's side of the horizon."""
+        """Return which shapes (N,) have all points (V, 2) of theirs on the camera's side of the horizon."""
         weights = (
             np.einsum("qnj,vj->qnv", self.matrices[:, :, 2, :2], points) + self.matrices[:, :, 2, 2, None]
         )
         return np.asarray((weights > 0).all(axis=(0, 2)))
 
     def row_shapes(self, v_px: Array) -> Array:
-        """Homographies (V, 3, 3) from pixels of rows (V,) without the lens to the first shape."""
+        """Return homographies (V, 3, 3) from pixels of rows (V,) without the lens to the first shape."""
         return self._at(inverse(self.matrices), np.zeros(len(v_px), dtype=np.int64), v_px)
 
     def at_origin(self) -> Array:
-        """Homographies (N, 3, 3) to pixels that are right to first order at each shape's origin.
+        """Return homographies (N, 3, 3) to pixels that are right to first order at each shape's origin.
 
         Without lens and rolling shutter they are right everywhere. The lens adds its slope D, a row time τ
         the motion during it: a point seen in row v moves with `dp = D H dx + p_t τ dv`, so that its slope is
@@ -172,7 +172,7 @@ class View:
     ray: Ray | None = None
 
     def images(self, ground_shapes: Callable[[float], Array]) -> ShapeImages:
-        """Images of shapes that lie on the ground.
+        """Return images of shapes that lie on the ground.
 
         `ground_shapes` takes an instant, s, to homographies (N, 3, 3) from the shapes' coordinates to ground
         metres.
@@ -194,7 +194,7 @@ class View:
         return self.ray.homography(self.camera, pose)
 
     def ground(self) -> ShapeImages:
-        """The image of the ground itself, a single shape whose coordinates are metres."""
+        """Return the image of the ground itself, a single shape whose coordinates are metres."""
         return self.images(lambda _: np.eye(3)[None])
 
     def ground_box(self) -> tuple[Array, Array]:

@@ -88,7 +88,7 @@ class Camera:
 
     @property
     def corners_px(self) -> Array:
-        """Corners (4, 2) of the image's border, half a pixel outside the outermost pixels' centres."""
+        """Return corners (4, 2) of the image's border, half a pixel outside the outermost pixels' centres."""
         width, height = self.size_px
         right, bottom = width - 0.5, height - 0.5
         return np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
@@ -106,7 +106,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where a camera is and how it is turned and zoomed.
+    """Position, rotation and zoom of a camera.
 
     Attributes:
         position_m: the ground point (x, y) below it.
@@ -178,7 +178,7 @@ def undistort(camera: Camera, zoom: float, points_px: Array) -> Array:
 
 
 def lens_jacobians(camera: Camera, zoom: float, points_px: Array) -> Array:
-    """Derivatives (..., 2, 2) of `distort` at pixels (..., 2) as they would be without the lens."""
+    """Return derivatives (..., 2, 2) of `distort` at pixels (..., 2) as they would be without the lens."""
     matrix = camera.intrinsic_matrix(zoom)
     rays = apply_homography(inverse(matrix), points_px)
     plane = matrix[:2, :2]
@@ -187,7 +187,7 @@ def lens_jacobians(camera: Camera, zoom: float, points_px: Array) -> Array:
 
 @lru_cache(maxsize=8)
 def lens_field(camera: Camera, zoom: float) -> LensField | None:
-    """What the lens does to each pixel of an image, or None if it does nothing.
+    """Return the lens displacement of each pixel of an image, or None without one.
 
     The last eight are kept, since computing one costs as much as drawing an image.
     """
@@ -213,7 +213,7 @@ def _spline(length: int) -> tuple[Array, Array]:
 
 
 def project(camera: Camera, pose: CameraPose, points_m: npt.ArrayLike) -> Array:
-    """Pixels (..., 2), through the lens, of ground points (..., 2) in metres.
+    """Return pixels (..., 2), through the lens, of ground points (..., 2) in metres.
 
     The points have to lie before the camera's horizon; others come out mirrored through it.
     """

@@ -35,11 +35,11 @@ class Equidistant:
     """The equidistant fisheye lens, `r' = atan r`; it is the same at every zoom."""
 
     def __bool__(self) -> bool:
-        """Whether the lens bends straight lines: always."""
+        """Return whether the lens bends straight lines: always."""
         return True
 
     def at(self, zoom: float) -> Self:
-        """The lens at a zoom: itself."""
+        """Return the lens at a zoom: itself."""
         return self
 
     def apply(self, rays: Array) -> Array:
@@ -48,7 +48,7 @@ class Equidistant:
         return np.asarray(rays * _ratio(np.arctan(radius), radius, -1 / 3))
 
     def jacobian(self, rays: Array) -> Array:
-        """Derivatives (..., 2, 2) of `apply`: 1 / (1 + r²) along the radius, θ / r across it."""
+        """Return derivatives (..., 2, 2) of `apply`: 1 / (1 + r²) along the radius, θ / r across it."""
         radius = np.linalg.norm(rays, axis=-1, keepdims=True)[..., None]
         across = _ratio(np.arctan(radius), radius, -1 / 3)
         # (1 / (1 + r²) - θ / r) / r², which goes to -2/3.

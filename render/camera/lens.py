@@ -69,11 +69,11 @@ class Distortion:
     zoom_k1: float = 0.0
 
     def __bool__(self) -> bool:
-        """Whether the lens bends straight lines: whether any coefficient is not zero."""
+        """Return whether the lens bends straight lines: whether any coefficient is not zero."""
         return any((self.k1, self.k2, self.k3, self.p1, self.p2, self.zoom_k1))
 
     def at(self, zoom: float) -> "Distortion":
-        """The lens at a zoom, as one that does not depend on the zoom any more."""
+        """Return the lens at a zoom, as one that does not depend on the zoom any more."""
         if not self.zoom_k1:
             return self
         return replace(self, k1=self.k1 + self.zoom_k1 * float(np.log2(zoom)), zoom_k1=0.0)
@@ -83,7 +83,7 @@ class Distortion:
         return _distort(self, rays)[0]
 
     def jacobian(self, rays: Array) -> Array:
-        """Derivatives (..., 2, 2) of `apply` at rays (..., 2)."""
+        """Return derivatives (..., 2, 2) of `apply` at rays (..., 2)."""
         return _distort(self, rays)[1]
 
     def remove(self, seen: Array) -> Array:
@@ -114,7 +114,7 @@ NO_DISTORTION = Distortion()
 
 @lru_cache(maxsize=64)
 def _turn(lens: Distortion) -> float:
-    """The least positive root r² of `d/dr (r + k1 r³ + k2 r⁵ + k3 r⁷)`; infinity if it is far out."""
+    """Return the least positive root r² of `d/dr (r + k1 r³ + k2 r⁵ + k3 r⁷)`; infinity if it is far out."""
     roots = np.roots([7 * lens.k3, 5 * lens.k2, 3 * lens.k1, 1.0])
     real = roots.real[(np.abs(roots.imag) < REAL) & (roots.real > 0)]
     return float(real.min()) if real.size and real.min() < FAR**2 else float("inf")

@@ -99,7 +99,7 @@ class LensBlur:
 
     @property
     def none(self) -> bool:
-        """Whether every point is seen as a point, but for the Gaussian."""
+        """Return whether every point is seen as a point, apart from the Gaussian."""
         return not (self.disc_px or self.coma_px or self.aperture_m)
 
     def radii_px(self, camera: Camera, pose: CameraPose, points_px: Array) -> Array:
@@ -111,14 +111,14 @@ class LensBlur:
         return np.asarray(self.disc_px + reach * (1 / self.focus_m - inverse_depths(camera, pose, points_px)))
 
     def variances_px2(self, camera: Camera, pose: CameraPose, points_px: Array) -> Array:
-        """Variances (...), px², that the blur adds along an axis, in the mean of both, at pixels (..., 2).
+        """Return the variances (...), px², that the blur adds along an axis, in the mean, at pixels (..., 2).
 
         `r²/4 + C²/3`.
         """
         return np.asarray(self.radii_px(camera, pose, points_px) ** 2 / 4 + self.coma_px**2 / 3)
 
     def rays(self, camera: Camera, pose: CameraPose, sigma_px: float) -> list[Ray]:
-        """The rays whose images' mean is the blurred one; their weights sum to one.
+        """Return the rays whose images' mean is the blurred one; their weights sum to one.
 
         `sigma_px` is the standard deviation of the Gaussian and the pixel together; the sharper these, the
         more rays it takes.

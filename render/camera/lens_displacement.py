@@ -1,4 +1,4 @@
-"""What a lens does to each pixel of an image: the form in which drawing takes it."""
+"""Displacement of each pixel by a lens, in the form that drawing uses."""
 
 from dataclasses import dataclass
 

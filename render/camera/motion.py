@@ -1,4 +1,4 @@
-"""What moves while an image is taken: the shutter, and the velocities of camera and robots.
+"""Motion during an exposure: the shutter, and the velocities of camera and robots.
 
 Motion blur is the mean of sharp images over the exposure. A rolling shutter gives each image row an instant
 of its own. Both hold for robots and cameras alike: `Motion` moves them, and `skyherd.render.view` asks it for
@@ -15,7 +15,7 @@ from skyherd.render.camera.camera import CameraPose
 
 @dataclass(frozen=True)
 class Shutter:
-    """When light falls on which row; with zeros all rows see one instant.
+    """Exposure of each row; with zeros all rows see one instant.
 
     Row v gathers light for `exposure_s` around the time `row_time_s (v - (height - 1) / 2)`: the pose given
     is the middle row's in the middle of its exposure.
@@ -49,13 +49,13 @@ class Motion:
 
     @property
     def still(self) -> bool:
-        """Whether nothing moves: all velocities are zero or not given."""
+        """Return whether nothing moves: all velocities are zero or not given."""
         robots = (rates for rates in (self.robots_mps, self.robots_radps) if rates is not None)
         camera = (*self.camera_mps, self.yaw_rate_radps, *self.tilt_rates_radps)
         return not (any(camera) or any(np.any(rates) for rates in robots))
 
     def pose_at(self, pose: CameraPose, time_s: float) -> CameraPose:
-        """The camera's pose `time_s` after the instant of `pose`; earlier if negative."""
+        """Return the camera's pose `time_s` after the instant of `pose`; earlier if negative."""
         vx, vy, climb = self.camera_mps
         by_u, by_v = self.tilt_rates_radps
         return replace(

@@ -1,4 +1,4 @@
-"""What a consumer camera does to an image between its sensor and whoever looks: each step a module.
+"""Image processing of a consumer camera between its sensor and the viewer: one module for each step.
 
 In this order, each off at its neutral value:
 
@@ -8,6 +8,7 @@ In this order, each off at its neutral value:
 4. `smoothing`: denoising, then sharpening, of the luma.
 5. Rounding to 8 bits, a JPEG and back, and `video_stream`: an H.264 video and back.
 
-The scene is grey, so that white balance makes all colours equal but for their noise. `development` puts the
-first four together; `skyherd.render.sensor` does what comes before, light, gain and noise, and the codecs.
+The scene is grey. White balance therefore makes all colours equal apart from their noise. `development` puts
+the first four together. `skyherd.render.sensor` does the steps before them, light, gain and noise, and the
+codecs.
 """

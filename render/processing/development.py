@@ -64,7 +64,7 @@ class Processing:
 
     @property
     def develops(self) -> bool:
-        """Whether anything is done to the signal before it is rounded to 8 bits."""
+        """Return whether anything is done to the signal before it is rounded to 8 bits."""
         toned = self.gamma != 1 or self.s_curve
         return bool(self.mosaic.on or toned or self.denoise or self.sharpen)
 

@@ -57,12 +57,12 @@ class Mosaic:
 
     @property
     def on(self) -> bool:
-        """Whether there are filters."""
+        """Return whether there are filters."""
         return self.demosaic != "none"
 
     @property
     def information(self) -> float:
-        """Share of what pixels without filters would tell under noise that does not depend on light.
+        """Return share of what pixels without filters would tell under noise that does not depend on light.
 
         `1/2 + 1/4 g_red⁻² + 1/4 g_blue⁻²`, the mean of the pixels' inverse variances; 1 without filters.
         """

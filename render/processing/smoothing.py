@@ -13,7 +13,7 @@ distance. *Chosen*: as small as the hardware of cameras has them; larger ones co
 
 
 def denoise(image: Luma, strength: float) -> Luma:
-    """A bilateral filter: the mean over a window, of pixels whose grey is like that of the one in the middle.
+    """Apply a bilateral filter: the mean over a window of pixels whose grey is like that of the middle one.
 
         y(p) = Σ_q w(p, q) x(q) / Σ_q w(p, q),   w = exp(-|p - q|² / 2 s² - (x(p) - x(q))² / 2 d²)
 
@@ -27,7 +27,7 @@ def denoise(image: Luma, strength: float) -> Luma:
 
 
 def sharpen(image: Luma, amount: float, radius_px: float) -> Luma:
-    """An unsharp mask: `y = x + a (x - G x)`, with G a Gaussian blur; edges get bright and dark rims.
+    """Apply an unsharp mask `y = x + a (x - G x)`, with G a Gaussian blur; edges get bright and dark rims.
 
     Args:
         image: x, grey levels (height, width).

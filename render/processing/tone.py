@@ -25,19 +25,19 @@ WHITE = 255.0
 
 
 def raw_signal(light: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
-    """A signal of 16 bits, `RAW_STEPS` a grey level, of light in grey levels; cut to 0-255."""
+    """Return a signal of 16 bits, `RAW_STEPS` a grey level, of light in grey levels; cut to 0-255."""
     scaled = np.clip(light, 0.0, WHITE) * np.float32(RAW_STEPS)
     return np.asarray(np.rint(scaled), dtype=np.uint16)
 
 
 def tone(level: npt.ArrayLike, gamma: float, s_curve: float) -> npt.NDArray[np.float64]:
-    """Grey levels (...) from 0 to 255 that the curve makes of others: the law above."""
+    """Return grey levels (...) from 0 to 255 that the curve makes of others: the law above."""
     t = (np.asarray(level, dtype=float) / WHITE) ** (1.0 / gamma)
     return np.asarray(WHITE * ((1 - s_curve) * t + s_curve * t * t * (3 - 2 * t)))
 
 
 def luma(raw: npt.NDArray[np.uint16], gamma: float, s_curve: float) -> npt.NDArray[np.float32]:
-    """The luma (height, width), in grey levels, of a raw signal of one colour or three, blue first.
+    """Return the luma (height, width), in grey levels, of a raw signal of one colour or three, blue first.
 
     Each colour goes through the curve; then `Y = 0.299 R + 0.587 G + 0.114 B`, as JPEG, video and OpenCV have
     it.
@@ -48,7 +48,7 @@ def luma(raw: npt.NDArray[np.uint16], gamma: float, s_curve: float) -> npt.NDArr
 
 @lru_cache(maxsize=16)
 def _curve(gamma: float, s_curve: float) -> npt.NDArray[np.float32]:
-    """The curve at each raw value (65536,); those above 255 grey levels never occur."""
+    """Return the curve at each raw value (65536,); those above 255 grey levels never occur."""
     levels = np.minimum(np.arange(RAW_LEVELS) / RAW_STEPS, WHITE)
     curve = tone(levels, gamma, s_curve).astype(np.float32)
     curve.setflags(write=False)

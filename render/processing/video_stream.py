@@ -16,7 +16,7 @@ GROUP = 30
 """Pictures from one that stands for itself to the next. *Chosen*: a second of most cameras."""
 
 RATE_HZ = 30
-"""Pictures a second that the encoder is told. *Chosen*: constant quality hardly depends on it."""
+"""Pictures a second that the encoder is told. *Chosen*: constant quality depends little on it."""
 
 FORMAT = "yuvj420p"
 """Luma of all 256 levels, and colour at half the resolution, which stays grey."""
@@ -37,7 +37,7 @@ class VideoStream:
 
     Args:
         size_px: width and height of all pictures.
-        crf: constant rate factor of x264 from 0, hardly a loss, to 51; the quantiser's step doubles with
+        crf: constant rate factor of x264 from 0, almost lossless, to 51; the quantiser's step doubles with
             every 6.
     """
 
@@ -55,7 +55,7 @@ class VideoStream:
         self._encoder, self._decoder = encoder, decoder
 
     def send(self, image: Image) -> Image:
-        """The next picture (height, width), as it comes out at the other end."""
+        """Return the next picture (height, width), as it comes out at the other end."""
         width, height = self._size_px
         picture = av.VideoFrame(self._encoder.width, self._encoder.height, FORMAT)
         for plane in picture.planes:
@@ -70,6 +70,6 @@ class VideoStream:
 
 
 def _pixels(plane: av.video.plane.VideoPlane) -> Image:
-    """The plane's values (height, width), which can be written to if it can."""
+    """Return the plane's values (height, width), which can be written to if it can."""
     rows: Image = np.asarray(memoryview(plane), dtype=np.uint8).reshape(plane.height, plane.line_size)
     return rows[:, : plane.width]

@@ -1,1 +1,1 @@
-"""What there is on the ground besides markers: textures, clutter, and what covers markers."""
+"""The ground besides markers: textures, clutter, and occluders."""

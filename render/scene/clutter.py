@@ -77,7 +77,7 @@ class Clutter:
         )
 
     def within(self, low_m: Array, high_m: Array) -> tuple[Array, Array]:
-        """Corners (M, 4, 2), m, and levels (M,) of those that may reach into a box on the ground.
+        """Return corners (M, 4, 2), m, and levels (M,) of those that may reach into a box on the ground.
 
         The box is given by its lower and upper corner (2,), m.
 

@@ -24,7 +24,7 @@ class Disc:
     level: float
 
     def covers(self, points_m: Array) -> BoolArray:
-        """Which ground points (..., 2) lie under it."""
+        """Return which ground points (..., 2) lie under it."""
         offset = points_m - np.array(self.center_m)
         return np.asarray((offset**2).sum(axis=-1) < self.radius_m**2)
 
@@ -59,7 +59,7 @@ class Quad:
         object.__setattr__(self, "corners_m", corners)
 
     def covers(self, points_m: Array) -> BoolArray:
-        """Which ground points (..., 2) lie under it."""
+        """Return which ground points (..., 2) lie under it."""
         at = apply_homography(inverse(self.ground_shape()), points_m)
         return np.asarray(((at > 0) & (at < 1)).all(axis=-1))
 
@@ -73,7 +73,7 @@ Occluder = Disc | Quad
 
 
 def convex(corners: Array) -> BoolArray:
-    """Which quadrilaterals (N, 4, 2) are convex (N,): they turn the same way at every corner."""
+    """Return which quadrilaterals (N, 4, 2) are convex (N,): they turn the same way at every corner."""
     along = np.roll(corners, -1, axis=1) - corners
     following = np.roll(along, -1, axis=1)
     turn = along[..., 0] * following[..., 1] - along[..., 1] * following[..., 0]
@@ -81,7 +81,7 @@ def convex(corners: Array) -> BoolArray:
 
 
 def quads_square(corners: Array) -> Array:
-    """Homographies (N, 3, 3) that take the unit square's corners (0,0), (1,0), (1,1), (0,1) to (N, 4, 2).
+    """Return homographies (N, 3, 3) from the unit square's corners (0,0), (1,0), (1,1), (0,1) to (N, 4, 2).
 
     In closed form (Heckbert 1989, "Fundamentals of Texture Mapping and Image Warping", section 2.2.3): the
     two projective terms g and h follow from sums and differences of the corners, the other terms from these.

@@ -57,7 +57,7 @@ def tiles(seed: int, mean: float, contrast: float) -> Array:
 
 
 def picture(image: npt.NDArray[np.uint8]) -> Array:
-    """A grey image (height, width), its upper edge to the north, as a texture (PERIOD, PERIOD).
+    """Return a grey image (height, width), its upper edge to the north, as a texture (PERIOD, PERIOD).
 
     Raises:
         InputError: it is not a grey image of 8 bits.

@@ -140,7 +140,7 @@ def test_checks_of_a_lab_report_all_that_they_find(webcams) -> None:
         ("ros2:///cmd_vel?type=Pose", "Twist or TwistStamped"),
     ],
 )
-def test_a_driver_that_cannot_be_is_refused_by_whatever_reads_the_lab(webcams, address, words) -> None:
+def test_invalid_driver_is_refused_by_every_reader_of_a_lab(webcams, address, words) -> None:
     for entry in ("robots.1", "cameras.1"):
         with pytest.raises(InputError) as refusal:
             load_lab(str(webcams), [f"{entry}.driver='{address}'"])
@@ -199,7 +199,7 @@ FILES = {"authority": "a.pem", "certificate": "c.pem", "key": "k.pem"}
         ({"connect": ["tcp/127.0.0.1.evil.net:7450"]}, False),
     ],
 )
-def test_a_radio_beyond_this_machine_needs_certificates_or_a_word(radio, secured) -> None:
+def test_remote_radio_needs_certificates_or_consent(radio, secured) -> None:
     places = LabRadio(**radio)
     assert places.is_secured is secured
     places.check(insecure=True)

@@ -64,7 +64,7 @@ class TestArmState:
         assert ArmState(StopLatch(stop=7)).arm(7).armed
 
 
-def test_the_largest_stop_number_is_the_last_that_json_readers_keep() -> None:
+def test_largest_stop_number_is_exact_in_json() -> None:
     assert int(float(MAX_STOP)) == MAX_STOP
     assert int(float(MAX_STOP + 2)) != MAX_STOP + 2
 

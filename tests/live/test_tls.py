@@ -76,7 +76,7 @@ def folder(tmp_path):
 
 
 @pytest.mark.slow
-def test_members_hear_each_other_and_a_stranger_is_neither_heard_nor_hears(folder) -> None:
+def test_tls_members_communicate_and_strangers_do_not(folder) -> None:
     pytest.importorskip("zenoh")
     from skyherd.live.zenoh_radio import ZenohRadio
 

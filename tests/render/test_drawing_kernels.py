@@ -107,7 +107,7 @@ def test_discs_are_those_of_the_formula(lens, tilt, rolling, psf_px, kind):
     assert_equal_to_rounding(drawn, exact)
 
 
-def test_what_lies_beyond_reach_of_a_line_is_its_cell_s_own_level():
+def test_pixels_beyond_reach_of_lines_have_the_level_of_the_cell():
     """In the middle of a cell that is wider than twice `FELT` σ a pixel has exactly the cell's level."""
     levels = np.array([[[30.0, 230.0], [230.0, 30.0]]])
     ground = np.array([[[1.0, 0, -1], [0, 1.0, -1], [0, 0, 1]]])
@@ -129,7 +129,7 @@ def test_what_lies_beyond_reach_of_a_line_is_its_cell_s_own_level():
 
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("psf_px", [0.3, 0.8])
-def test_light_stays_so_near_to_the_cells_levels_that_rounding_keeps_it_within_8_bits(lens, psf_px):
+def test_light_stays_within_8_bits_after_rounding(lens, psf_px):
     rng = np.random.default_rng(3)
     ground = shapes(30, 0.3, rng) @ [[1 / 8, 0, -0.5], [0, 1 / 8, -0.5], [0, 0, 1]]
     drawn = np.full(SIZE_PX[::-1], 255, np.float32)

@@ -72,7 +72,7 @@ def compare(light: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.3, 2.2])
-def test_the_reference_is_the_separable_card_where_nothing_is_tilted(heading):
+def test_reference_is_the_separable_card_without_tilt(heading):
     """There a card is a product of error functions along its sides, gathered over 8 x 8 points a pixel."""
     u, v, side, psf = 40.2, 39.7, 28.0, 0.5
     turn = side * np.array([np.cos(heading), np.sin(heading)])
@@ -99,7 +99,7 @@ def slanted(side: float) -> np.ndarray:
     return np.array([[side, 0.3 * side, 40.3], [0.2 * side, -0.8 * side, 39.6], [0.1, 0.15, 1.0]])
 
 
-def test_the_reference_agrees_with_counting_points_under_any_homography():
+def test_reference_agrees_with_counted_points_for_homographies():
     """33 x 33 points a pixel, each of its cell's level, under a sampled aperture.
 
     An edge is known to half a point, 1/66 px: 200 / (sqrt(2 pi) 0.8) / 66 = 1.5 grey levels at worst, better

@@ -78,7 +78,7 @@ def test_far_ground_is_grey_and_does_not_alias(kind):
     assert image.mean() == pytest.approx(near.mean(), abs=8)
 
 
-def test_a_camera_that_stands_still_sees_the_same_ground_and_may_draw_on_it():
+def test_still_camera_gets_equal_writable_ground_images():
     ground, camera, pose = Ground(2), Camera((100, 80), 50.0), CameraPose((0.0, 0.0), 2.0)
     first = seen(ground, camera, pose)
     for _ in range(3):
@@ -147,7 +147,7 @@ def test_rolling_rows_of_the_ground_are_of_their_own_instant():
         np.testing.assert_allclose(rolling[v], still[v], atol=1)
 
 
-def test_clutter_is_dark_quads_as_many_as_asked_for_and_fixed_to_the_ground():
+def test_clutter_has_the_requested_number_of_fixed_dark_quads():
     """Count: Poisson-like, sigma 12 of 150. Places: the same quads from another pose, where they overlap."""
     clutter = Clutter(7, density_per_m2=150 / 400, side_m=(0.4, 0.9))
     box = np.zeros(2), np.full(2, 20.0)

@@ -167,7 +167,7 @@ def test_pixels_come_from_the_seeds() -> None:
     assert not np.array_equal(scene(1, one), scene(1, other)), "the ground's seed"
 
 
-def test_a_camera_that_looks_away_from_the_origin_sees_what_is_before_it() -> None:
+def test_camera_turned_from_the_origin_sees_what_is_before_it() -> None:
     """Tilted by 60 deg, with the ground's origin behind it: the same image as with the whole world moved."""
     camera, tilt = Camera((120, 120), 300.0), (np.radians(60.0), 0.0)
     ahead = np.array([[0.0, -10.0 * np.tan(tilt[0])]])

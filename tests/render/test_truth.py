@@ -128,7 +128,7 @@ PAIR = np.array([3, 8]), np.array([[-0.5, 0.4], [1.0, -0.2]]), np.array([0.3, -2
 
 
 @pytest.mark.parametrize("lens", [Distortion(), LENS], ids=["no lens", "lens"])
-def test_each_row_of_a_rolling_shutter_is_that_row_of_its_own_instant(lens):
+def test_rolling_shutter_row_is_that_row_at_its_own_instant(lens):
     """0.5 grey levels: each of both images is right to 0.25."""
     camera, pose = Camera((160, 120), 150.0, distortion=lens), CameraPose((0.1, 0.0), 5.0, 0.3, (0.05, 0.1))
     row_time_s = 3e-4  # 36 ms from first row to last, in which the robots turn by 2 and 4 deg

@@ -62,6 +62,8 @@ class Detector(Protocol):
       back right, back left. They may lie outside the image.
     - `covariances` (N, 3, 3): of (u, v, heading), in px², px·rad and rad². A detector without covariances
       returns zeros, which mean *unknown*, not *exact*.
+    - `qualities` (N,): values of `skyherd.messages.Quality`; `CORNERS` if left out, as for a detector of
+      corners.
     - Without markers, N = 0; this is not an error.
 
     `skyherd.markers.dictionary.pose_of_corners` computes centres, headings and sides from corners.

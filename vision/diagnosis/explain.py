@@ -1,10 +1,10 @@
 """Why markers were not detected: where the default detector loses each candidate, and by which limit.
 
-This follows the detector's own stages. What both of its looks see (`PhotometricDetector.looks`) is taken as
-it is: a candidate that was fitted is told by the first test that its fit fails, an outline that was not
-decoded by the cells that are wrong. What the search does not find at all is looked for in other, slower ways
-(`candidates`), read by correlation with all markers (`quad_reading`), and fitted all the same, to say which
-test it would fail.
+The stages are those of the detector, and the results of its searches are taken as they are
+(`PhotometricDetector.searches`). A candidate that was fitted is explained by the first test that its fit
+fails, and by its log odds. An outline that was not decoded is explained by its wrong cells. Other markers are
+searched for in slower ways (`candidates`), read by correlation with all markers (`quad_reading`), and fitted
+to find the test that they would fail.
 """
 
 from collections import Counter
@@ -85,12 +85,12 @@ class Rejection:
 
     @property
     def corners_px(self) -> Array:
-        """Corners (4, 2), px, in order around the candidate; they may lie outside the image."""
+        """Return corners (4, 2), px, in order around the candidate; they may lie outside the image."""
         return self.reading.corners_px
 
     @property
     def center_px(self) -> Array:
-        """Mean (2,) of the corners, px."""
+        """Return mean (2,) of the corners, px."""
         return np.asarray(self.corners_px.mean(axis=0))
 
 
@@ -137,16 +137,16 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
 
 
 def _odds(image: Image, corners_px: list[Array], dictionary: str) -> MarkerOdds:
-    """The evidence that candidates are markers, at the poses by their edges."""
+    """Return the evidence that candidates are markers, at the poses by their edges."""
     corners = np.array(corners_px).reshape(-1, 4, 2)
     edges = fit_edges(image, corners, cells_per_side(dictionary))
     return marker_odds(image, edges.corners_px, dictionary)
 
 
 def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detections) -> list[Suspect]:
-    """All that may be markers, apart from the detections.
+    """Return all that may be markers, apart from the detections.
 
-    What reaches the image's border and reads with a fault is left out, since the border may be its outline.
+    Candidates that reach the image's border and read with a fault are left out: it may be their outline.
     """
     dictionary = detector.dictionary
     first, second = detector.searches(image)
@@ -175,10 +175,10 @@ def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detec
 
 
 def _read_unseen(image: Image, dictionary: str, is_known: Callable[[Array], bool]) -> list[Reading]:
-    """Readings of what the search may not have found.
+    """Return readings of what the search may not have found.
 
-    Squares that were guessed rather than seen count only if they read without a fault, and so do those that
-    touch the border, whose outline may be the border itself.
+    Guessed squares count only if they read without a fault. So do squares that touch the border, whose
+    outline may be the border itself.
     """
     size_px = np.array([image.shape[1], image.shape[0]])
     outlines = [*dark_quads(image, dictionary), *dark_patches(image)]
@@ -196,7 +196,7 @@ def _read_unseen(image: Image, dictionary: str, is_known: Callable[[Array], bool
 def _failed_all_the_same(
     image: Image, detector: PhotometricDetector, reading: Reading
 ) -> tuple[Quantity, Measured] | None:
-    """The test that a fit from a reading's corners fails; None if it fails none or is plainly no marker."""
+    """Return the test that a fit from a reading's corners fails, or None."""
     if not _is_exact(reading):
         return None
     sigma_px = reading.blur_cells * float(reading.cell_px.mean())
@@ -208,7 +208,7 @@ def _failed_all_the_same(
 
 
 def _read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
-    """The most marker-like reading of a contour moved outwards: thresholds lose up to a pixel of an edge."""
+    """Return the most marker-like reading of a contour moved outwards; thresholds lose up to a pixel."""
     center = corners_px.mean(axis=0)
     reach = float(np.linalg.norm(corners_px - center, axis=1).mean()) / np.sqrt(2)
     readings = [read_quad(image, corners_px, dictionary)]
@@ -220,23 +220,23 @@ def _read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
 
 
 def _is_exact(reading: Reading) -> bool:
-    """Whether it is plainly a marker, with no wrong bit, and no mirror image of one."""
+    """Return whether it is plainly a marker, with no wrong bit, and no mirror image of one."""
     return reading.wrong_bits == 0 and reading.likeness >= CERTAIN and not reading.mirrored
 
 
 def _rank(suspect: Suspect) -> tuple[float, bool]:
-    """How marker-like a suspect is, and whether it was fitted: of those in one place the highest stays."""
+    """Return the rank of a suspect: its likeness, and whether it was fitted. The highest of a place stays."""
     reached = (suspect.fitted and suspect.reading.wrong_bits == 0) + 2 * suspect.good
     return _likeness(suspect.reading) + BONUS * reached, suspect.fitted
 
 
 def _likeness(reading: Reading) -> float:
-    """How marker-like a reading is."""
+    """Return how marker-like a reading is."""
     return float(reading.likeness * reading.visible**VISIBLE_EXPONENT + BONUS * _reads_well(reading))
 
 
 def _reads_well(reading: Reading) -> bool:
-    """Whether it reads without a fault, mirrored or not, or has a clear frame."""
+    """Return whether it reads without a fault, mirrored or not, or has a clear frame."""
     exact = reading.likeness >= CERTAIN and reading.wrong_bits == 0
     return exact or (is_clear(reading) and is_dark(reading))
 
@@ -254,7 +254,7 @@ def _grown(corners_px: Array, factor: float) -> Array:
 
 
 def _is_known(corners_px: Array, centers_px: Array, reach_px: Array) -> bool:
-    """Whether a quadrilateral is, lies on, or surrounds one of the detections at centres (N, 2)."""
+    """Return whether a quadrilateral is, lies on, or surrounds one of the detections at centres (N, 2)."""
     center = corners_px.mean(axis=0)
     distances = np.linalg.norm(centers_px - center, axis=1)
     if (distances < reach_px).any():
@@ -264,7 +264,7 @@ def _is_known(corners_px: Array, centers_px: Array, reach_px: Array) -> bool:
 
 
 def _is_part(reading: Reading, better: list[Suspect]) -> bool:
-    """Whether it shares its place with a better candidate."""
+    """Return whether it shares its place with a better candidate."""
     center = reading.corners_px.mean(axis=0)
     return any(
         _contains(other.reading.corners_px, center)

@@ -44,7 +44,7 @@ class SearchPass:
 
     @property
     def found(self) -> FitResults:
-        """The accepted markers."""
+        """Return the accepted markers."""
         return self.fits.take(self.good)
 
     @classmethod

@@ -84,7 +84,7 @@ def follow(image: Image, dictionary: str, state: CameraState, time_s: float) -> 
 
 
 def _start_corners(fits: FitResults, start: LocalHomographies) -> Array:
-    """Corners (N, 4, 2), px, by the fits where these stayed near, otherwise as predicted."""
+    """Return corners (N, 4, 2), px, by the fits where these stayed near, otherwise as predicted."""
     fitted, predicted = fits.homographies.images(SQUARE_CORNERS), start.images(SQUARE_CORNERS)
     away = np.abs(fitted - predicted).max(axis=1)
     near = np.isfinite(away) & (away < start.sides_px() / 2)
@@ -99,7 +99,7 @@ def _fit_tracks(
     start: LocalHomographies,
     sigmas_px: Array,
 ) -> tuple[FitResults, LocalHomographies, Plane]:
-    """Fits of followed markers, their places as predicted or by the common motion, and the plane."""
+    """Return fits of followed markers, their places as predicted or by the common motion, and the plane."""
     about = state.plane, state.noise or USUAL_NOISE, MAX_STEPS_FROM_PREDICTION
     fits, plane = fit_any_blur(image, dictionary, ids, start, sigmas_px, *about)
     lost = np.flatnonzero(~is_promising(fits))
@@ -119,7 +119,7 @@ def _fit_tracks(
 def _moved(
     image: Image, dictionary: str, state: CameraState, start: LocalHomographies, fits: FitResults
 ) -> LocalHomographies:
-    """Where followed markers are by the motion of those that were found, or of some that are searched."""
+    """Return the places of followed markers by the motion of those found, or of some that are searched."""
     seen = fits.take(verified(fits, image_noise(image), code_distance(dictionary)))
     if not seen.ids.size:
         nowhere = no_fit_results(dictionary).homographies
@@ -140,7 +140,7 @@ def _find_near(
     known: LocalHomographies,
     missed: IntArray,
 ) -> FitResults:
-    """Accepted markers near places, outside of known markers; the reach grows with the images missed (N,)."""
+    """Return accepted markers near places, outside of known ones; the reach grows with images missed (N,)."""
     if not len(places):
         return no_fit_results(dictionary)
     quads = find_quads_near(image, places, missed)

@@ -152,6 +152,7 @@ class MarkerOdds(RowRecord):
         log_odds: (N,) natural logarithms of the odds that it is that marker.
         against: (N, 4) log odds against other codes, bits by chance, light rectangles, other grids alone;
             infinite where others made them needless.
+        blacks: (N,) grey level of black at the centre.
         contrasts: (N,) grey levels from black to white.
         noise_stds: (N,) standard deviation of the readings' errors, share of their range.
         outlier_shares: (N,) share of the marker's parts that are outliers.
@@ -161,6 +162,7 @@ class MarkerOdds(RowRecord):
     turns: IntArray
     log_odds: Array
     against: Array
+    blacks: Array
     contrasts: Array
     noise_stds: Array
     outlier_shares: Array
@@ -199,7 +201,7 @@ def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
     n = cells_per_side(dictionary)
     if not len(corners_px):
         none = np.zeros(0, dtype=np.int64)
-        return MarkerOdds(none, none, np.zeros(0), np.zeros((0, 4)), np.zeros(0), np.zeros(0), np.zeros(0))
+        return MarkerOdds(none, none, np.zeros(0), np.zeros((0, 4)), *([np.zeros(0)] * 4))
     samples = _Samples.read(image, corners_px, n)
     nearest = _nearest_codes(samples.readings, dictionary)
     odds = _odds_of_codes(samples, nearest[:, :FIRST_CODES], dictionary, first=True)
@@ -226,7 +228,7 @@ def log_likelihoods(image: Image, corners_px: Array, dictionary: str) -> Array:
 def _odds_of_codes(
     samples: "_Samples", codes: IntArray, dictionary: str, *, first: bool = False
 ) -> MarkerOdds:
-    """The evidence for the likeliest of K codes (N, K).
+    """Return the evidence for the likeliest of K codes (N, K).
 
     At first, wide cards alone are fitted and compared with bits by chance alone; the log odds are then -inf.
     """
@@ -262,9 +264,8 @@ def _odds_of_codes(
     against[~seen] = -np.inf
     ids, turns = np.divmod(codes[rows, best], 4)
     outliers = fits.outliers[rows, best][:, _design(n).on_card].mean(axis=1)
-    return MarkerOdds(
-        ids, turns, log_odds, against, fits.levels[rows, best, 1], fits.stds[rows, best], outliers
-    )
+    blacks, contrasts = fits.levels[rows, best, :2].T
+    return MarkerOdds(ids, turns, log_odds, against, blacks, contrasts, fits.stds[rows, best], outliers)
 
 
 @dataclass(frozen=True)
@@ -304,20 +305,20 @@ class _Samples:
 
 
 def _weights(corners_px: Array, n_cells: int) -> Array:
-    """Independent readings (N,) that a part counts as."""
+    """Return independent readings (N,) that a part counts as."""
     one, two = corners_px[:, 2] - corners_px[:, 0], corners_px[:, 3] - corners_px[:, 1]
     cell_px2 = np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 2 / n_cells**2
     return np.asarray(np.minimum(MAX_READINGS, cell_px2 / PX2_PER_READING) / PARTS**2)
 
 
 def _places(n_cells: int, per_part: int = 1) -> Array:
-    """Places of the parts along an axis, in cells from the marker's edge; `per_part` places in each part."""
+    """Return `per_part` places in each part along an axis, in cells from the marker's edge."""
     parts = PARTS * per_part
     return (np.arange(parts * (n_cells + 2)) + 0.5) / parts - 1
 
 
 def _readings(image: Image, corners_px: Array, n_cells: int) -> Array:
-    """Grey levels (N, parts) of all parts of markers and white zones.
+    """Return grey levels (N, parts) of all parts of markers and white zones.
 
     Large markers are read in a shrunk image, so that a part is the mean over its pixels.
     """
@@ -351,7 +352,7 @@ def _sampled(image: Image, corners_px: Array, n_cells: int, fine: int) -> Array:
 
 
 def _unit_square_homographies(corners_px: Array) -> Array:
-    """Homographies (N, 3, 3) from the unit square to corners (N, 4, 2)."""
+    """Return homographies (N, 3, 3) from the unit square to corners (N, 4, 2)."""
     p0, p1, p2, p3 = corners_px.transpose(1, 0, 2)
     a, b, c = p1 - p2, p3 - p2, p0 - p1 + p2 - p3
     area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
@@ -365,7 +366,7 @@ def _unit_square_homographies(corners_px: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _codes(dictionary: str) -> tuple[Array32, Array32]:
-    """Black cells (4 D, n, n) of all markers in all turns, and the standardised whiteness of blurred cells.
+    """Return black cells (4 D, n, n) of all markers in all turns, and their blurred whiteness, standardised.
 
     Row 4 i + t is marker i turned by t quarters; the second is (blurs x 4 D, n²).
     """
@@ -382,7 +383,7 @@ def _codes(dictionary: str) -> tuple[Array32, Array32]:
 
 
 def _nearest_codes(readings: Array, dictionary: str) -> IntArray:
-    """The codes (N, K) whose cells resemble readings (N, parts) most, the likeliest first."""
+    """Return the codes (N, K) whose cells resemble readings (N, parts) most, the likeliest first."""
     n = cells_per_side(dictionary)
     cells = readings.reshape(-1, n + 2, PARTS, n + 2, PARTS).mean(axis=(2, 4))[:, 1:-1, 1:-1]
     _, alike = _codes(dictionary)
@@ -395,7 +396,7 @@ def _nearest_codes(readings: Array, dictionary: str) -> IntArray:
 
 @lru_cache(maxsize=16)
 def _gathers(n_cells: int) -> tuple[Array, Array]:
-    """Weights (blurs, side, n) of a row's cells at its parts, along the rows and along the columns."""
+    """Return weights (blurs, side, n) of a row's cells at its parts, along the rows and along the columns."""
     both = [
         np.stack([gather(_places(n_cells), np.arange(n_cells + 1.0), blur[axis]) for blur in BLURS_CELLS])
         for axis in (0, 1)
@@ -404,7 +405,7 @@ def _gathers(n_cells: int) -> tuple[Array, Array]:
 
 
 def _drawn(readings: Array, codes: IntArray, dictionary: str) -> tuple[IntArray, Array]:
-    """The blur (N, K) under which each code (N, K) resembles the readings most, and its whiteness."""
+    """Return the blur (N, K) under which each code (N, K) resembles the readings most, and its whiteness."""
     n = cells_per_side(dictionary)
     black, (along, down) = _codes(dictionary)[0][codes], _gathers(n)
     rows = np.einsum("bsj,nkij->nkbis", along.astype(np.float32), black)
@@ -451,7 +452,7 @@ def _design(n_cells: int) -> _Design:
 
 @lru_cache(maxsize=64)
 def _ground(n_cells: int, width_cells: float, blur: float) -> Array:
-    """Share (parts,) of the ground beyond a card whose white zone is `width_cells` wide."""
+    """Return share (parts,) of the ground beyond a card whose white zone is `width_cells` wide."""
     card = gather(_places(n_cells), np.array([-width_cells, n_cells + width_cells]), blur)[:, 0]
     return np.asarray((1 - card[:, None] * card).ravel())
 
@@ -569,7 +570,7 @@ def _contradictions(samples: _Samples, white: BoolArray) -> Array:
 
 
 def _whiteness(readings: Array, fits: _Fits, best: IntArray, n_cells: int) -> tuple[Array, Array]:
-    """Readings as whiteness (N, parts), by the levels of the best fits, and the contrasts (N, parts)."""
+    """Return readings as whiteness (N, parts) by the levels of the best fits, and contrasts (N, parts)."""
     x, y = _design(n_cells).places[:, 1:].T
     level = fits.levels[np.arange(len(best)), best]
     contrast = np.maximum(level[:, 1:2] + level[:, 4:5] * x + level[:, 5:6] * y, MIN_CONTRAST)
@@ -595,7 +596,7 @@ def _log_density(errors: Array, std: Array, prior: Array) -> Array:
 
 @lru_cache(maxsize=1)
 def _resolved_shares() -> Array:
-    """Share (blurs,) of the bits that are independent of their neighbours under a blur."""
+    """Return share (blurs,) of the bits that are independent of their neighbours under a blur."""
     return np.array([math.prod(min(1.0, RESOLVED_CELLS / value) for value in blur) for blur in BLURS_CELLS])
 
 
@@ -608,7 +609,7 @@ def _log_bits(
     stds: Array,
     dictionary: str,
 ) -> Array:
-    """Log likelihood (N,) of the patterns' bits over that of bits by chance, of the cells that have one.
+    """Return the log likelihood ratio (N,) of the patterns' bits to bits by chance.
 
     Args:
         samples: of N candidates.
@@ -637,7 +638,7 @@ def _log_bits(
 
 @lru_cache(maxsize=64)
 def _stretches(n_cells: int, blur: float) -> Array:
-    """Shares (S, side) of all stretches along an axis that a light rectangle may cover."""
+    """Return shares (S, side) of all stretches along an axis that a light rectangle may cover."""
     edges = np.arange(0.5, n_cells - 0.49, RECTANGLE_STEP)
     steps = ndtr((_places(n_cells)[None] - edges[:, None]) / blur)
     low, high = np.triu_indices(edges.size, k=2)
@@ -645,7 +646,7 @@ def _stretches(n_cells: int, blur: float) -> Array:
 
 
 def _log_rectangles(samples: _Samples, blur: tuple[float, float]) -> Array:
-    """Log of the prior times likelihood (N,) of all light rectangles in a dark square, by the best ones."""
+    """Return the log posterior (N,) of light rectangles in a dark square, by the best of them."""
     n = samples.n_cells
     along, down = (_stretches(n, value) for value in blur)
     square = [gather(_places(n), np.array([0.0, n]), value)[:, 0] for value in blur]
@@ -667,7 +668,7 @@ def _log_rectangles(samples: _Samples, blur: tuple[float, float]) -> Array:
 
 
 def _log_grids(samples: _Samples, whiteness: Array, blur: tuple[float, float], dictionary: str) -> Array:
-    """Log of the prior times likelihood (N,) of squares of other grids, with the bits that readings show."""
+    """Return the log posterior (N,) of squares of other grids, with the bits that readings show."""
     n = samples.n_cells
     side = PARTS * (n + 2)
     inside = whiteness.reshape(-1, side, side)[:, PARTS:-PARTS, PARTS:-PARTS].astype(np.float32)

@@ -177,7 +177,12 @@ def verify_and_refit(
         order = (odds.turns[accepted, None] + np.arange(4)) % 4
         turned = np.take_along_axis(edges.corners_px[accepted], order[..., None], axis=1)
         rows = rest[accepted]
-        unexplained = replace(fits.take(rows), ids=odds.ids[accepted])
+        unexplained = replace(
+            fits.take(rows),
+            ids=odds.ids[accepted],
+            blacks=odds.blacks[accepted],
+            contrasts=odds.contrasts[accepted],
+        )
         outlines = EdgeFits(
             turned,
             edges.spreads_px[accepted],
@@ -208,7 +213,7 @@ def _best_odds(image: Image, dictionary: str, edges_px: Array, fitted_px: Array)
 
 
 def _pose_costs(fitted_px: Array, edges_px: Array) -> Array:
-    """Log odds (N,) that the distance of fitted corners from those by the edges costs."""
+    """Return log odds (N,) that the distance of fitted corners from those by the edges costs."""
     square = (np.nan_to_num(fitted_px - edges_px, nan=np.inf) ** 2).sum(axis=(1, 2))
     return np.asarray(square / (2 * CORNER_STD_PX**2))
 
@@ -244,7 +249,7 @@ def _measured(
 
 
 def _unexplained_shares(fits: FitResults, dictionary: str) -> Array:
-    """Shares (N,) of the cells with a bit that a robust fit leaves unexplained."""
+    """Return shares (N,) of the cells with a bit that a robust fit leaves unexplained."""
     border = border_cells(dictionary)
     bits = np.abs(fits.cell_means[:, border:-border, border:-border])
     return np.asarray((bits > fits.contrasts[:, None, None] / 2).mean(axis=(1, 2)))
@@ -263,7 +268,7 @@ def _structure_factors(fits: FitResults) -> Array:
 
 
 def _by_edges(fits: FitResults, edges: EdgeFits) -> FitResults:
-    """Fits with the poses and covariances of the markers' edges."""
+    """Return fits with the poses and covariances of the markers' edges."""
     return replace(
         fits,
         homographies=LocalHomographies.of_quads(edges.corners_px),
@@ -274,7 +279,7 @@ def _by_edges(fits: FitResults, edges: EdgeFits) -> FitResults:
 
 
 def _corners(fits: FitResults) -> Array:
-    """Corners (N, 4, 2), px, of fitted markers."""
+    """Return corners (N, 4, 2), px, of fitted markers."""
     return to_points(fits.homographies.images(SQUARE_CORNERS))
 
 
@@ -287,7 +292,7 @@ def _put(values: Array, rows: IntArray, others: Array) -> Array:
 def _replaced(
     fits: FitResults, good: BoolArray, rows: IntArray, others: FitResults
 ) -> tuple[FitResults, BoolArray]:
-    """Fits with those at indices `rows` replaced, which are then good."""
+    """Return fits with those at indices `rows` replaced, which are then good."""
     good = good.copy()
     good[rows] = True
     return fits.put(rows, others), good

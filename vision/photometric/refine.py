@@ -109,7 +109,7 @@ def fit_visible_all_sizes(
 
 
 def _octaves(homographies: LocalHomographies, max_side_px: float) -> IntArray:
-    """How often (N,) the image is to be halved for each marker."""
+    """Return how often (N,) the image is to be halved for each marker."""
     octaves = np.maximum(np.ceil(np.log2(homographies.sides_px() / max_side_px)), 0)
     return np.asarray(octaves, dtype=np.int64)
 
@@ -154,7 +154,7 @@ class ScaledImage:
 
 
 def _with_pixel(variances: Array) -> Array:
-    """Standard deviations (N,) of lenses of given variances, px², and a square pixel together."""
+    """Return standard deviations (N,) of lenses of given variances, px², and a square pixel together."""
     return np.asarray(np.sqrt(variances + UNIFORM_VARIANCE))
 
 
@@ -337,11 +337,11 @@ def with_streak(
 
 
 def _telling(fits: FitResults, good: BoolArray) -> IntArray:
-    """Indices of the fits that tell of a streak: verified ones that are fitted in the image's own pixels."""
+    """Return indices of the fits that show a streak: verified ones in the image's own pixels."""
     return np.flatnonzero(good & (fits.homographies.sides_px() <= MAX_SIDE_PX))
 
 
 def _few(fits: FitResults, rows: IntArray) -> IntArray:
-    """Those of the fits at indices `rows`, at least one, that are asked in every image."""
+    """Return those of the fits at indices `rows`, at least one, that are asked in every image."""
     few = rows[:: max(1, -(-rows.size // STREAK_MARKERS))]
     return few[: max(1, int((np.cumsum(fits.pixels[few]) <= STREAK_PIXELS).sum()))]

@@ -200,7 +200,7 @@ class FitTest:
 
 
 def _all_passed(tests: Iterable[FitTest]) -> BoolArray:
-    """Which fits (N,) pass all of at least one test."""
+    """Return which fits (N,) pass all of at least one test."""
     return np.asarray(np.logical_and.reduce([test.passed() for test in tests]))
 
 
@@ -213,7 +213,7 @@ def bits_are_right(fits: FitResults, distance: int) -> BoolArray:
 
 
 def _bit_tests(fits: FitResults, wrong: WrongCellResiduals, distance: int) -> list[FitTest]:
-    """Tests of what fits look like, of their last step, px, and of their cells, as shares of a wrong one."""
+    """Return tests of plausibility, of the last step, px, and of the cells, as shares of a wrong one."""
     cell_noises = fits.noise_stds / (wrong.means * wrong.cells_px)
     worst = np.abs(fits.cell_means).max(axis=(1, 2)) / wrong.means
     allowed = np.minimum(WRONG_CELL_SHARE + WRONG_CELL_SIGMAS * cell_noises, WRONG_CELL_LIMIT)
@@ -242,7 +242,7 @@ def may_be_occluded(fits: FitResults, noise: float) -> BoolArray:
 
 
 def _plausibility_tests(fits: FitResults) -> list[FitTest]:
-    """Tests whether fits have contrast, sharpness, a shape and pixels such as markers have.
+    """Return tests whether fits have contrast, sharpness, a shape and pixels such as markers have.
 
     Contrast and white are grey levels, the blur is in cells, the others are shares of area, arm and side.
     """
@@ -292,7 +292,7 @@ def residual_is_noise(fits: FitResults, noise: float) -> BoolArray:
 def _residual_tests(
     fits: FitResults, wrong: WrongCellResiduals, noise: float, distance: int
 ) -> list[FitTest]:
-    """Tests whether fits leave little more than the noise, pixel by pixel and cell by cell, grey levels."""
+    """Return tests of the residuals of pixels and of cells against the noise, grey levels."""
     over_cells = np.sqrt(np.square(fits.cell_means).mean(axis=(1, 2)))
     sharp = STRONG_BLUR_CELLS if distance >= STRONG_DISTANCE else SHARP_BLUR_CELLS
     share = MODEL_SHARE * np.minimum(1.0, sharp / fits.blurs_cells)

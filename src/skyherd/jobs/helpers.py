@@ -7,7 +7,7 @@ lock: *measured* on two cores, the three cameras of `star` took 39 and 47 ms a s
 48 and 50 ms in three threads.
 
 Only Linux forks processes safely with the libraries that are used here; elsewhere `can_help` is false, and
-whoever would have helpers works alone. OpenCV's own threads do not survive a fork, so that it is given one
+callers work alone. OpenCV's own threads do not survive a fork, so that it is given one
 thread for as long as there are helpers (`one_thread`).
 
 A helper ends when its maker closes it. The kernel kills it when its maker ends in any other way, even by

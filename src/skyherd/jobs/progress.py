@@ -11,9 +11,9 @@ from typing import Protocol
 class Progress(Protocol):
     """Display of the progress of a piece of work.
 
-    Work may consist of several tasks, one after the other, such as the files of a folder. Whoever does the
-    work calls `update` at the beginning of each task and then as often as it likes, from one thread. There is
-    nothing to be called at the end: a task is over when another is named or when the work returns. The work
+    Work may consist of several tasks, one after the other, such as the files of a folder. The worker calls
+    `update` at the beginning of each task and then as often as it likes, from one thread. There is nothing to
+    be called at the end: a task is over when another is named or when the work returns. The work
     waits for each call, which therefore must be quick and must not raise an exception.
     """
 

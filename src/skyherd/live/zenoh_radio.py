@@ -17,8 +17,8 @@ ANY_PORT = "tcp/127.0.0.1:0"
 machine gets the port of the file. The others connect to it, learn of each other there, and connect here."""
 
 RETRY_MS = 300
-"""Time between two tries to get the port of the file, and to reach whoever has it, ms. Chosen: a new process
-finds nobody for so long."""
+"""Time between two tries to get the port of the file, and to reach its owner, ms. Chosen: a new process
+is alone for this time."""
 
 CLOSE_S = 1.0
 """Longest time that leaving takes, s. Chosen: what was published is sent within milliseconds."""

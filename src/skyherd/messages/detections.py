@@ -15,7 +15,7 @@ from skyherd.messages.ids import among
 
 
 class Quality(IntEnum):
-    """How a marker was measured; a greater value is a better measurement.
+    """Kind of a marker's measurement; a greater value is a better one.
 
     Attributes:
         CORNERS: by its corners or edges. Detectors of other libraries report nothing else.

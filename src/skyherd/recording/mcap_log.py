@@ -18,7 +18,7 @@ CHUNK_BYTES = 1 << 16
 worse, larger ones lose more when damaged."""
 
 FLUSH_S = 0.5
-"""Time, s, of which a killed process loses no more. Chosen: robots hardly move in it, and shorter chunks
+"""Time, s, of which a killed process loses no more. Chosen: robots move little in it, and shorter chunks
 compress worse."""
 
 Schema = tuple[str, type | dict[str, Any]]

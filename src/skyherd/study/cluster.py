@@ -1,9 +1,9 @@
 """Execution of runs in many processes by Dask: local ones, or those of an existing cluster.
 
 A worker makes one run at a time on one thread, without any file (`skyherd.study.measure`), and sends back its
-outcome. Local workers listen to this machine alone and have no dashboard. Whoever reaches a worker can let it
-run anything, and every user of a machine reaches its ports: local workers and their scheduler therefore speak
-TLS, with a certificate that is made for the run, stays in memory, and that all of them ask each other for.
+outcome. Local workers listen to this machine alone and have no dashboard. Any client of a worker can let it
+run anything, and every user of a machine reaches its ports. Local workers and their scheduler therefore use
+mutual TLS, with a certificate that is made for the run and stays in memory.
 Local workers and their temporary files end with this process, even if it is killed.
 """
 

@@ -92,7 +92,7 @@ def test_more_rays_change_nothing(blur, monkeypatch):
     assert np.abs(away).max() < 0.3 and np.sqrt((away**2).mean()) < 0.03
 
 
-def test_the_inverse_distance_is_that_of_the_ground_below_the_pixels():
+def test_inverse_distance_is_that_of_the_ground_at_each_pixel():
     corners = np.array([*footprint_m(CAMERA, TILTED).T, np.zeros(4)]).T
     camera = np.array([*TILTED.position_m, TILTED.height_m])
     distances = (corners - camera) @ rotation_camera_world(TILTED)[2]
@@ -116,7 +116,7 @@ def test_the_disc_by_depth_is_that_of_a_thin_lens():
     np.testing.assert_allclose(blur.radii_px(CAMERA, TILTED, corners), expected, rtol=1e-9)
 
 
-def test_each_ray_sees_what_a_pinhole_at_its_place_in_the_lens_sees():
+def test_each_ray_sees_as_a_pinhole_at_its_place_in_the_lens():
     """A camera moved by a in its image plane and shifted so that the plane in focus stays: the same image."""
     blur = LensBlur(aperture_m=0.4, focus_m=5.5)
     rotation = rotation_camera_world(TILTED)

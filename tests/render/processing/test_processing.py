@@ -54,7 +54,7 @@ def test_a_slope_stays_what_it_is_through_a_mosaic(mosaic):
     assert np.abs(image - RAMP / 2)[3:-3, 3:-3].max() <= 0.5 + 1 / 128
 
 
-def test_bilinear_demosaicing_is_the_mean_of_the_nearest_of_each_colour():
+def test_bilinear_demosaicing_averages_nearest_of_each_colour():
     """Another way: each colour's pixels, convolved with a tent, over as much of the tent as has pixels."""
     raw = raw_signal(np.random.default_rng(4).uniform(0, 255, (20, 24)).astype(np.float32))
     tent = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4
@@ -68,7 +68,7 @@ def test_bilinear_demosaicing_is_the_mean_of_the_nearest_of_each_colour():
 
 
 @pytest.mark.parametrize("gains", [(1.0, 1.0), (2.0, 1.5)])
-def test_noise_enters_before_the_mosaic_and_white_balance_multiplies_it(gains):
+def test_white_balance_multiplies_noise_before_the_mosaic(gains):
     """The variance of luma from those of the mosaic's pixels, g² noise² + g shot s, at its four places.
 
     A colour is that of the pixel itself, or the mean of two or four neighbours. 160 000 pixels, whose errors
@@ -152,7 +152,7 @@ def textured(number: int) -> np.ndarray:
     return np.clip(wave + np.random.default_rng(number).normal(0, 3, wave.shape), 0, 255).astype(np.uint8)
 
 
-def test_a_video_gives_each_picture_back_in_order_and_the_same_bits_again():
+def test_video_returns_pictures_in_order_and_equal_bits():
     """Closest to its own picture among all; more loss and fewer bits at a higher factor."""
     sent = [textured(4 * number) for number in range(8)]
     sizes, losses = [], []
@@ -234,7 +234,7 @@ def test_each_part_changes_the_image_alone_and_is_off_by_one_key(part):
     assert (taken(RAMP, everything, 3.0) != taken(RAMP, all_but, 3.0)).mean() > 0.2
 
 
-def test_the_same_seed_gives_the_same_images_and_another_does_not():
+def test_equal_seeds_give_equal_images_and_others_do_not():
     settings = Processing(**ON)
     one, same, other = (taken(RAMP, settings, noise=3.0, seed=seed) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, same)

@@ -150,7 +150,7 @@ class LocalHomographies(RowRecord):
 
     @cached_property
     def _areas(self) -> Array:
-        """Areas (N,) of the affine images, `|m|² - |k|²`, px²."""
+        """Return areas (N,) of the affine images, `|m|² - |k|²`, px²."""
         m, k = self.arms, self.squeezes
         return np.asarray(m.real**2 + m.imag**2 - (k.real**2 + k.imag**2))
 

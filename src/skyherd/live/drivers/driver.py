@@ -23,7 +23,7 @@ HOLD_S = 0.5
 
 MIN_SHARE = 0.25
 """A new command is written at once, but no sooner after another than this share of the usual interval.
-*Chosen*: whoever sends too often does not fill a slow line."""
+*Chosen*: a caller that sends too often does not fill a slow line."""
 
 STOPS = 3
 """How often zero is written by `close`. *Chosen*: one or two may get lost on the way."""
@@ -35,8 +35,8 @@ CLOSE_S = 2.0
 class RobotDriver:
     """Drives one robot: repeats its last command while that is fresh, and sends zero once it is not.
 
-    All writing happens in a thread of its own, at a steady rate. `send` only leaves the command there: it
-    never waits, and whoever stops calling it stops the robot. What is written was brought within the limits.
+    All writing happens in a thread of its own, at a steady rate. `send` only leaves the command there
+    and never waits. Without further calls the robot stops. Commands are brought within the limits first.
 
     Args:
         link: where motions are written to.
@@ -158,7 +158,7 @@ class RobotDriver:
         self._news.clear()
 
     def _due(self) -> Motion:
-        """What is to be written now."""
+        """Return the next bytes to write."""
         with self._lock:
             age_s = self._clock() - self._sent_s
             return self._wanted if 0 <= age_s < self.hold_s else STILL

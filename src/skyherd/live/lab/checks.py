@@ -1,4 +1,4 @@
-"""What the keys of a lab file have to keep together, and those whose values are names of something."""
+"""Checks of a lab file across its keys, and of the keys whose values are names."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -68,13 +68,13 @@ def check_drivers(
 
 
 def _name_problems(model: LabModel) -> Iterator[Problem]:
-    """Whether the team has a name that topics can have."""
+    """Return whether the team has a name that topics can have."""
     if not re.fullmatch(TEAM_PATTERN, model.team):
         yield "team", repr(model.team), "1 to 40 letters, digits, _ and -; the first is not -"
 
 
 def _limit_problems(model: LabModel) -> Iterator[Problem]:
-    """Whether goals live for at least two commands."""
+    """Return whether goals live for at least two commands."""
     limits = model.limits
     if limits.goal_timeout_s < 2 * limits.period_s:
         allowed = f"at least two period_s, which is {2 * limits.period_s:g}"
@@ -82,7 +82,7 @@ def _limit_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _detector_problems(model: LabModel) -> Iterator[Problem]:
-    """Whether there are such detectors."""
+    """Return whether there are such detectors."""
     names = detector_names()
     for unit, camera in enumerate(model.cameras):
         if camera.detector not in names:
@@ -91,7 +91,7 @@ def _detector_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _robot_problems(model: LabModel) -> Iterator[Problem]:
-    """Whether the dictionary has a marker for each robot, and each robot its own."""
+    """Return whether the dictionary has a marker for each robot, and each robot its own."""
     dictionary = model.markers.dictionary
     size, seen = dictionary_size(dictionary), set[int]()
     for index, robot in enumerate(model.robots):
@@ -104,7 +104,7 @@ def _robot_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _shape_problems(model: LabModel) -> Iterator[Problem]:
-    """Whether the shape is given once, and has a point for each robot."""
+    """Return whether the shape is given once, and has a point for each robot."""
     shape, robots = model.shape, len(model.robots)
     if (shape.shape is None) == (shape.points is None):
         both = "neither shape nor points" if shape.shape is None else "both shape and points"

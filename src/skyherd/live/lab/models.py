@@ -104,7 +104,7 @@ class LabControl(Model):
 
 
 class LabLimits(Model):
-    """What robots may do, and how long without news. They hold whatever comes in."""
+    """Limits of the robots' motions, and of the time without messages. No message exceeds them."""
 
     max_speed_mps: Speed = Field(0.2, description="m/s; limit on |v|")
     max_turn_radps: Speed = Field(1.5, description="rad/s; limit on |omega|")
@@ -128,7 +128,7 @@ TLS_PROTOCOLS = ("tls/", "quic/")
 
 
 class LabAvoidance(AvoidanceModel):
-    """How robots keep apart from each other and from obstacles."""
+    """Collision avoidance between robots, and with obstacles."""
 
     body_radius_sides: Annotated[FiniteFloat, Field(ge=0, le=1000)] = Field(
         0.0, description="marker sides; radius of the robots' round bodies; above 0 if avoidance is on"
@@ -139,7 +139,7 @@ class LabAvoidance(AvoidanceModel):
 
 
 class LabRadio(Model):
-    """How the processes find each other."""
+    """Radio endpoints by which the processes find each other."""
 
     listen: list[Text] = Field(
         ["tcp/127.0.0.1:7450"],
@@ -153,12 +153,12 @@ class LabRadio(Model):
 
     @property
     def is_loopback(self) -> bool:
-        """Whether nothing outside this machine can take part."""
+        """Return whether nothing outside this machine can take part."""
         return all(_is_loopback(place) for place in (*self.listen, *self.connect))
 
     @property
     def is_secured(self) -> bool:
-        """Whether each place that is not on loopback is reached by TLS with client certificates."""
+        """Return whether each place that is not on loopback is reached by TLS with client certificates."""
         return all(
             _is_loopback(place) or (place.startswith(TLS_PROTOCOLS) and self.has_certificates)
             for place in (*self.listen, *self.connect)
@@ -166,7 +166,7 @@ class LabRadio(Model):
 
     @property
     def has_certificates(self) -> bool:
-        """Whether all three files for TLS are named."""
+        """Return whether all three files for TLS are named."""
         return bool(self.authority and self.certificate and self.key)
 
     @property
@@ -203,7 +203,7 @@ class LabRadio(Model):
 
 
 class LabRecording(Model):
-    """What units record for viewers, beside all that they hear and do."""
+    """Recording of images for viewers, in addition to all messages."""
 
     image_rate_hz: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
         1.0, description="1/s; rate of images with their detections; 0 for none"
@@ -214,7 +214,7 @@ class LabRecording(Model):
 
 
 def _is_loopback(place: str) -> bool:
-    """Whether a Zenoh locator, such as `tcp/127.0.0.1:7450`, is on loopback."""
+    """Return whether a Zenoh locator, such as `tcp/127.0.0.1:7450`, is on loopback."""
     host = place.partition("/")[2].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True

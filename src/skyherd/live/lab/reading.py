@@ -33,7 +33,7 @@ def lab_text(name: str) -> str:
     """TOML text of an example.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: no example has that name.
     """
     return source_text(name, LAB)
 

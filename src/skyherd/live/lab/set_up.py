@@ -53,14 +53,14 @@ class Lab:
 
     @property
     def ids(self) -> list[int]:
-        """The robots' markers, ascending."""
+        """Return the robots' markers, ascending."""
         return sorted(robot.id for robot in self.model.robots)
 
     def robot(self, robot_id: int) -> LabRobot:
-        """The entry of one robot.
+        """Return the entry of one robot.
 
         Raises:
-            InputError: there is none with this marker.
+            InputError: no robot has this marker.
         """
         for robot in self.model.robots:
             if robot.id == robot_id:
@@ -68,10 +68,10 @@ class Lab:
         raise InputError("robot", f"no robot {robot_id} in this lab", f"one of {self.ids}")
 
     def camera(self, unit: int) -> LabCamera:
-        """The entry of one unit.
+        """Return the entry of one unit.
 
         Raises:
-            InputError: there is none of this number.
+            InputError: no unit has this number.
         """
         if not 0 <= unit < len(self.model.cameras):
             raise InputError("unit", f"no unit {unit} in this lab", f"0 to {len(self.model.cameras) - 1}")
@@ -90,7 +90,7 @@ class Lab:
             self.robot(int(number))
 
     def make_controller(self, unit: int) -> AerialController:
-        """The controller of one unit: the simulator's, with what the file says."""
+        """Return the controller of one unit: the simulator's, with what the file says."""
         model = self.model
         flight = self.camera(unit).flight
         return AerialController(
@@ -107,10 +107,10 @@ class Lab:
         )
 
     def make_unit(self, unit: int) -> UnitCore:
-        """The computer of one unit.
+        """Return the computer of one unit.
 
         Raises:
-            InputError: there is none of this number.
+            InputError: no unit has this number.
         """
         return UnitCore(
             unit,
@@ -121,7 +121,7 @@ class Lab:
 
     @property
     def body_ids(self) -> list[int]:
-        """Markers of robots and obstacles, ascending."""
+        """Return markers of robots and obstacles, ascending."""
         return sorted({*self.ids, *(obstacle.id for obstacle in self.model.obstacles)})
 
     @property
@@ -165,13 +165,13 @@ class Lab:
 
     @property
     def clock_limits(self) -> ClockLimits:
-        """When another process's clock is not trusted."""
+        """Return the limits beyond which another process's clock is not trusted."""
         limits = self.model.limits
         return ClockLimits(limits.clock_offset_s, limits.clock_uncertainty_s)
 
     @property
     def speed_limits(self) -> SpeedLimits:
-        """What a robot may be told at most."""
+        """Return the limits of a robot's commands."""
         limits = self.model.limits
         return SpeedLimits(
             limits.max_speed_mps,
@@ -181,7 +181,7 @@ class Lab:
         )
 
     def make_robot(self, robot_id: int) -> RobotCore:
-        """The computer of one robot.
+        """Return the computer of one robot.
 
         Raises:
             InputError: there is no robot with this marker.

@@ -67,12 +67,12 @@ class SessionHistory:
 
     @property
     def restarts(self) -> int:
-        """Number of restarts of all processes."""
+        """Return number of restarts of all processes."""
         return sum(len(logs) - 1 for logs in self.runs.values())
 
     @property
     def refused(self) -> int:
-        """Number of messages refused by all processes."""
+        """Return number of messages refused by all processes."""
         return sum(sum(log.refused.values()) for logs in self.runs.values() for log in logs)
 
     @property

@@ -1,8 +1,8 @@
 """A scenario's world as a process of its own: to the rest of the system it is hardware.
 
-It renders what each camera sees, streams it as H.264 in FLV over TCP to whoever connects, and drives its
-robots and flies its units by the commands that come over the radio. Wheels stop by themselves when no command
-came for `HOLD_S`, as those of a robot with a keep-alive do. It alone knows the truth, and records it.
+It renders the image of each camera and streams it as H.264 in FLV over TCP to its clients. Robots and units
+move by the commands that come over the radio. Wheels stop by themselves without a command for `HOLD_S`, as
+those of a robot with a keep-alive do. This process alone knows the truth, and records it.
 """
 
 import math
@@ -39,12 +39,12 @@ TOPICS: dict[str, Schema] = {
     "/scenario": ("skyherd.WorldScenario", {"type": "object"}),
     "/truth": ("skyherd.WorldTruth", {"type": "object"}),
 }
-"""What the world records: the scenario, and at each step where everything is and what wheels were told."""
+"""Topics of the world's record: the scenario, and for each step all poses and wheel commands."""
 
 
 @dataclass
 class WheelState:
-    """What one robot's wheels were told last.
+    """Last command to the wheels of one robot.
 
     Attributes:
         v_mps: speed, in metres a second of real time.
@@ -108,7 +108,7 @@ class WorldProcess:
                 self._world.fly(self._slowed(message))
 
     def step(self) -> float:
-        """Show the cameras what there is, and move on by a time step; returns the shape error before it."""
+        """Show the cameras the world, advance by a time step, and return the shape error before it."""
         scenario, now_s = self.mission.scenario, self.clock()
         self._begun_s = now_s if self._begun_s is None else self._begun_s
         for unit, model in enumerate(scenario.units):
@@ -151,7 +151,7 @@ class WorldProcess:
         )
 
     def _slowed(self, command: FlightCommand) -> FlightCommand:
-        """A flight command in seconds of the scenario."""
+        """Return a flight command in seconds of the scenario."""
         share = 1 / self.speed
         return replace(
             command,

@@ -146,7 +146,7 @@ class ProcessHistory:
 
     @property
     def number(self) -> int:
-        """Return number of the unit, or marker id of the robot."""
+        """Number of the unit, or marker id of the robot."""
         return int(self.name.partition("/")[2])
 
     @property

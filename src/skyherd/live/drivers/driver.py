@@ -46,7 +46,7 @@ class RobotDriver:
         limits: limits of speed, turn rate and acceleration.
         flies: True for a flying unit; each written motion carries it.
         rate_hz: rate at which commands are written.
-        hold_s: watchdog time; commands older than this are stale, and zero is sent.
+        hold_s: watchdog time; commands of this age are stale, and zero is sent.
         clock: returns the time, s.
         pause: waits for a number of seconds, or until a new command; the default wait if None.
 
@@ -155,7 +155,7 @@ class RobotDriver:
             self._link.close()
 
     def _await_news(self, seconds: float) -> None:
-        """Wait for `MIN_SHARE` of a time, and then for a new command until its end."""
+        """Wait until a new command or the end of a time, but at least for `MIN_SHARE` of the time."""
         if not self._closing.wait(MIN_SHARE * seconds):
             self._news.wait((1 - MIN_SHARE) * seconds)
         self._news.clear()

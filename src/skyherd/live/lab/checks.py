@@ -104,7 +104,7 @@ def _robot_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _shape_problems(model: LabModel) -> Iterator[Problem]:
-    """Check that exactly one of shape and points is given, and that there is a point for each robot."""
+    """Check that exactly one of shape and points is given, and that each robot has a point."""
     shape, robots = model.shape, len(model.robots)
     if (shape.shape is None) == (shape.points is None):
         both = "neither shape nor points" if shape.shape is None else "both shape and points"

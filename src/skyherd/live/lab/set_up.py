@@ -184,7 +184,7 @@ class Lab:
         """Return the core of one robot: its decisions without I/O.
 
         Raises:
-            InputError: there is no robot with this marker.
+            InputError: no robot has this marker.
         """
         self.robot(robot_id)
         control, limits = self.model.control, self.model.limits

@@ -102,7 +102,7 @@ def read_session(folder: Path, progress: Progress = NO_PROGRESS) -> SessionHisto
     """Read all recordings of a live run, as far as possible.
 
     Raises:
-        InputError: there are none, or none is readable.
+        InputError: the folder has no readable recording.
     """
     paths = recorded_files(folder)
     if not paths:

@@ -1,4 +1,4 @@
-"""Lab files: the examples are right, and what is wrong is one line that names the key."""
+"""Lab files: built-in labs are valid, and each error is one line that names the key."""
 
 import tomllib
 from pathlib import Path
@@ -17,7 +17,7 @@ from skyherd.sim.robot_teams import make_avoidance
 
 @pytest.fixture
 def webcams(tmp_path) -> Path:
-    """The built-in lab with webcams, as a file of one's own."""
+    """Return a file with a copy of the built-in lab `webcams`."""
     file = tmp_path / "lab.toml"
     file.write_text(lab_text("webcams"), encoding="utf-8")
     return file
@@ -25,7 +25,7 @@ def webcams(tmp_path) -> Path:
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("name", lab_names())
-def test_examples_are_right_and_stay_on_loopback(name) -> None:
+def test_built_in_labs_are_valid_and_stay_on_loopback(name) -> None:
     lab = load_lab(name)
     assert lab.model.radio.is_loopback and lab.model.radio.is_secured
     for unit in range(len(lab.model.cameras)):
@@ -109,7 +109,7 @@ def test_all_problems_of_a_lab_are_reported_together(webcams) -> None:
     assert {line.partition(":")[0] for line in lines[2:]} >= {"markers.dictionary", "limits.max_speed_mps"}
 
 
-def test_checks_of_a_lab_report_all_that_they_find(webcams) -> None:
+def test_checks_of_a_lab_report_all_problems_together(webcams) -> None:
     wrong = ["robots.0.id=999", "cameras.0.detector=trackin", "team='a b'", "robots.1.driver=foo"]
     with pytest.raises(InputErrors) as refusal:
         load_lab(str(webcams), wrong)
@@ -161,11 +161,11 @@ def test_invalid_driver_is_refused_by_every_reader_of_a_lab(webcams, address, wo
         "module_on_another_machine:factory=TEXT",
     ],
 )
-def test_a_driver_that_may_be_elsewhere_is_not_asked_for(address) -> None:
+def test_driver_of_another_machine_is_accepted_unopened(address) -> None:
     assert load_lab("webcams", [f"robots.1.driver='{address}'"]).model.robots[1].driver == address
 
 
-def test_check_looks_for_factories_of_one_s_own(capsys, tmp_path, monkeypatch) -> None:
+def test_check_imports_custom_factories_without_a_call(capsys, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "wheels_to_check.py").write_text("def make(robot_id, text): raise RuntimeError\n")
@@ -179,7 +179,7 @@ def test_check_looks_for_factories_of_one_s_own(capsys, tmp_path, monkeypatch) -
         assert code == 2 and not out and f"webcams: robots.0.driver: {address}: " in err and words in err
 
 
-def test_a_team_s_name_may_be_of_any_letters() -> None:
+def test_team_name_may_have_non_ascii_letters() -> None:
     assert load_lab("webcams", ["team='ü-2_b'"]).model.team == "ü-2_b"
 
 
@@ -282,6 +282,6 @@ class TestBodies:
         with pytest.raises(InputError) as refusal:
             load_lab(str(webcams), settings)
         place = line.replace("obstacles.", "obstacles: ")
-        # A default that another key makes wrong has the file as its place.
+        # An error of a default value, caused by another key, names the file.
         assert str(refusal.value).startswith((f"--set {place}", f"{webcams}: {place}"))
         assert "\n" not in str(refusal.value)

@@ -109,7 +109,7 @@ def test_uncertainty_counts_in_favour_of_a_clock_near_its_limit() -> None:
     assert "off, more than 1 s" in compared(1.04, 0.02).distrust("unit/0", 100.2)
 
 
-def test_a_message_of_a_distrusted_clock_counts_as_sent_before() -> None:
+def test_message_of_distrusted_clock_counts_as_sent_before() -> None:
     assert not compared(5.0).was_sent_after(heartbeat(1e6), 100.1, 100.3)
     assert not PeerClocks("robot/1", LIMITS).was_sent_after(heartbeat(1e6), 100.1, 100.3)
 

@@ -1,4 +1,4 @@
-"""The radio over TLS with client certificates: who has none of the team's is neither heard nor told."""
+"""Radio over TLS with client certificates: it excludes processes without a certificate of the team."""
 
 import datetime
 import ipaddress
@@ -27,7 +27,7 @@ def name(text):
 
 
 def make_authority(folder, who):
-    """An authority's key and certificate; the latter is written too."""
+    """Write the certificate of a new authority, and return its name and its key."""
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = (
         _certificate(who, who, key)
@@ -39,7 +39,7 @@ def make_authority(folder, who):
 
 
 def make_member(folder, who, authority):
-    """Write a certificate for 127.0.0.1 that an authority signed, and its key."""
+    """Write a certificate for 127.0.0.1, signed by an authority, and its key."""
     signer, signing_key = authority
     key = ec.generate_private_key(ec.SECP256R1())
     here = x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))])
@@ -97,7 +97,7 @@ def test_tls_members_communicate_and_strangers_do_not(folder) -> None:
     try:
         join("a", listen=[place])
         join("b")
-        join("stranger")  # whose certificate another authority signed
+        join("stranger")  # Another authority signed its certificate.
         join("naked", certified=False)
         wait_for(lambda: (all_speak(), {b"b"} <= set(heard["a"]) and {b"a"} <= set(heard["b"]))[1], "members")
         for _ in range(40):
@@ -125,7 +125,7 @@ print("listening", flush=True)
 sys.stdin.read()
 radio.close()
 """
-"""A process that prints what it hears until its input ends."""
+"""Process that prints received messages until its input ends."""
 
 SPEAKER = """
 import json, select, sys, time
@@ -145,14 +145,14 @@ while not select.select([sys.stdin], [], [], 0.1)[0]:  # until its input ends
     radio.publish("skyherd/t/heartbeat/" + sys.argv[3], sys.argv[3].encode())
 radio.close()
 """
-"""A process that speaks, and prints whom it hears when there are three."""
+"""Process that sends messages, and prints all senders after it has heard three."""
 
 LISTEN_STATE = "0A"
 """State of a listening socket in /proc/net/tcp. Defined by Linux."""
 
 
 def listening_ports(pid: int) -> set[int]:
-    """TCP ports on which a process listens."""
+    """Return the TCP ports on which a process listens."""
     links = []
     for descriptor in Path(f"/proc/{pid}/fd").iterdir():
         try:
@@ -169,7 +169,7 @@ def listening_ports(pid: int) -> set[int]:
 
 
 def deliver_without_certificate(ports: set[int], authority: Path) -> None:
-    """Try for 3 s to send to all ports, in plain text and by TLS without a certificate of one's own."""
+    """Try for 3 s to send to all ports, in plain text and by TLS without a client certificate."""
     import zenoh
 
     sessions = []

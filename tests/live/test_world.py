@@ -1,4 +1,4 @@
-"""The recording of a world that is killed lacks at most half a second."""
+"""Recording of a simulated world: a killed process loses at most half a second."""
 
 import io
 from types import SimpleNamespace
@@ -12,11 +12,11 @@ from skyherd.recording.mcap_log import FLUSH_S
 from skyherd.recording.survey import survey
 
 BEGIN_S = 1000.0
-"""Time of the clock at the first step."""
+"""Time of the clock at the first step, s."""
 
 
 def make_world(path, speed: float) -> tuple[WorldProcess, list[float]]:
-    """A world without cameras that hears nothing, and the time that its clock shows."""
+    """Return a world without cameras and received messages, and the time of its clock as a list of one."""
     now_s = [BEGIN_S]
     mission = load_mission("triangle", ["perception=ideal", "duration_s=60"])
     silent = SimpleNamespace(fetch=lambda: [])
@@ -25,7 +25,7 @@ def make_world(path, speed: float) -> tuple[WorldProcess, list[float]]:
 
 @pytest.mark.parametrize("speed", [0.1, 1.0, 3.0])
 def test_killed_world_loses_at_most_half_a_second(tmp_path, speed) -> None:
-    """SIGKILL leaves what the operating system was given: here it is read after each step."""
+    """The file after each step is read like the one after SIGKILL, which keeps all data written to it."""
     path = tmp_path / "world.mcap"
     world, now_s = make_world(path, speed)
     assert [chunk.after for chunk in survey(io.BytesIO(path.read_bytes())).chunks] == [1]
@@ -35,7 +35,7 @@ def test_killed_world_loses_at_most_half_a_second(tmp_path, speed) -> None:
         found = survey(io.BytesIO(path.read_bytes())).chunks
         assert now_s[0] - found[-1].last_s <= FLUSH_S + TIME_TOLERANCE_S
         chunks, now_s[0] = len(found), now_s[0] + world.mission.scenario.step_s / speed
-    # Not one chunk a step, which would compress badly.
+    # One chunk per step would compress badly.
     steps_a_chunk = max(1, int(FLUSH_S * speed / world.mission.scenario.step_s))
     assert chunks <= 3 + 40 / steps_a_chunk
     world.close()

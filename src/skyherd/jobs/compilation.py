@@ -1,4 +1,4 @@
-"""How kernels, functions that Numba compiles, are compiled, and the types of arrays that they are given."""
+"""Options of Numba for kernels, and the types of their array arguments."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from numba.core import types
 
 
 def _can_be_kept() -> bool:
-    """Return whether compiled code can be cached in a folder; without one, each run compiles it."""
+    """Return whether Numba can cache compiled code in a folder. Otherwise each process compiles it."""
     try:
         njit(cache=True)(_can_be_kept)
     except RuntimeError:
@@ -21,24 +21,24 @@ FLAGS: Any = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz"},
 }
-"""How functions are compiled. A division by zero gives infinity, and not an error. A multiplication may be
-joined with an addition, as the processor has it; nothing else about the numbers is changed, so that those
-that are not finite are recognised."""
+"""Options of kernels. A division by zero gives infinity or NaN instead of an error. The compiler may fuse a
+multiplication with an addition, and may ignore the sign of zero. Other fast-math options are off, so that
+tests for infinity and NaN work."""
 
 PARTS: Any = {**FLAGS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""How functions are compiled that only kernels call: without the ways in from Python and C, which take a
-fifth of the time to compile."""
+"""Options of functions that only kernels call. They have no entry points for Python and C, which take a fifth
+of the compile time."""
 
 INLINE: Any = {"inline": "always", **FLAGS}
-"""How functions are compiled that are called for every pixel: as part of their callers. Calls that hand over
-arrays cost as much as the arithmetic. For the same reason they count with unsigned numbers: with others each
-index is first asked whether it is negative, and so counts from the end."""
+"""Options of functions that run for every pixel. They are inlined into their callers, since a call with array
+arguments costs as much as the arithmetic. Their indices are unsigned, also for speed: Numba tests each signed
+index for negative values, which count from the end."""
 
 
 def readonly(kind: Any, ndim: int) -> Any:
-    """Type of a contiguous array that is not written to; arrays that could be are taken too."""
+    """Return the type of a contiguous array that a kernel only reads. It accepts writable arrays too."""
     return types.Array(kind, ndim, "C", readonly=True)
 
 
 IMAGE = readonly(uint8, 2)
-"""Type of a grey image of 8 bits."""
+"""Type of an 8-bit grey image."""

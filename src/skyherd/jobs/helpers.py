@@ -1,18 +1,17 @@
-"""Helpers: processes beside the one that works, each of which answers requests in the order they come.
+"""Helpers: forked worker processes that answer requests in order.
 
-A helper is a fork of the process that makes it. It begins with everything that is loaded and computed there,
-so that nothing is imported, compiled or sent to it, and it exists within milliseconds. Threads in place of
-processes do not help where most of the time goes to many short calls of NumPy, which hold the interpreter's
-lock: *measured* on two cores, the three cameras of `star` took 39 and 47 ms a step one after the other, and
-48 and 50 ms in three threads.
+A helper starts as a copy of its parent, with all loaded modules, compiled functions and data. The start takes
+milliseconds. Threads do not help here: most of the time goes to many short calls of NumPy, which hold the
+interpreter's lock. *Measured* for a step of the three cameras of `star`, on two cores: 39 to 47 ms one after
+the other, 48 to 50 ms in three threads.
 
-Only Linux forks processes safely with the libraries that are used here; elsewhere `can_help` is false, and
-callers work alone. OpenCV's own threads do not survive a fork, so that it is given one
-thread for as long as there are helpers (`one_thread`).
+Only Linux forks safely with the libraries used here. Elsewhere `can_help` returns False, and callers work
+without helpers. OpenCV's threads do not survive a fork, so OpenCV gets one thread while there are helpers
+(`one_thread`).
 
-A helper ends when its maker closes it. The kernel kills it when its maker ends in any other way, even by
-SIGKILL (`skyherd.jobs.lifetime`): the thread that makes a helper must therefore live as long as the helper is
-needed. A helper leaves signals to its maker, since a terminal sends Ctrl-C to both.
+A helper ends when its parent closes it. If the parent ends in any other way, even by SIGKILL, the kernel
+kills the helper (`skyherd.jobs.lifetime`). The thread that makes a helper must therefore live as long as the
+helper. A helper ignores signals, since a terminal sends Ctrl-C to both processes.
 """
 
 import multiprocessing
@@ -40,14 +39,13 @@ Result = TypeVar("Result")
 """Result of an item."""
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
-"""Signals that a helper leaves to its maker."""
+"""Signals that a helper ignores."""
 
 PATIENCE_S = 20.0
-"""How long a helper may take to tidy up when it is closed before its time, s. *Chosen*: many times what it
-takes; one that hangs is killed then."""
+"""Timeout of `Helper.close`, s; a helper that still runs is killed. *Chosen*: many times the usual time."""
 
 _open: "list[Helper]" = []
-"""Helpers of this process. Each one that is forked later has copies of their pipes, and closes them."""
+"""Open helpers of this process. Each later fork inherits copies of their pipes, and closes them."""
 
 
 def cores() -> int:
@@ -62,7 +60,7 @@ def can_help() -> bool:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Give OpenCV one thread in the body, so that none is lost when this process forks."""
+    """Limit OpenCV to one thread in the body, so that a fork loses no thread."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -74,19 +72,19 @@ def one_thread() -> Iterator[None]:
 
 
 class Helper:
-    """A fork of this process that answers requests, in their order, until it is closed.
+    """Fork of this process that answers requests in order, until it is closed.
 
-    Use it in a `with` block, or call `close`. The requests that it has not come to yet are kept in it; of
-    these there are `waiting` at most, and `ask` waits for it to be done with one when there are more.
+    Use it in a `with` block, or call `close`. Requests wait in the helper's queue. When it is full, further
+    requests fill the pipe, and then `ask` blocks.
 
     Attributes:
-        pipe: connects it with this process.
+        pipe: connection to the helper.
 
     Args:
-        serve: makes of a request its answer. It is called in the helper, where it may keep what it likes.
-            What it raises is raised by `answer`.
-        gone: what to raise if the helper ends by itself, as when the system has no memory left and kills it.
-        waiting: how many requests may wait.
+        serve: returns the answer to a request. It runs in the helper, and may keep state there. `answer`
+            raises its exceptions.
+        gone: exception to raise if the helper ends early, for example if the system kills it to free memory.
+        waiting: size of the queue, requests.
     """
 
     def __init__(self, serve: Callable[[Any], Any], gone: Exception, *, waiting: int = 1) -> None:
@@ -96,32 +94,32 @@ class Helper:
         arguments = (serve, its_pipe, [self.pipe, *(other.pipe for other in _open)], waiting)
         self._process = context.Process(target=_work, args=arguments, daemon=True)
         with _signals_blocked(), warnings.catch_warnings():
-            # From Python 3.12 on there is a warning if any thread runs, such as those of OpenBLAS, which
-            # stops and starts them around a fork.
+            # Python 3.12 and newer warn of a fork while any thread runs. Those of OpenBLAS are harmless: it
+            # stops and restarts them around a fork.
             warnings.simplefilter("ignore", DeprecationWarning)
             self._process.start()
         its_pipe.close()
         _open.append(self)
-        # At the end of the interpreter helpers that were not closed are waited for, and must end.
+        # At its end the interpreter waits for helpers that are still open, so their pipes must close first.
         self._finalizer = Finalize(self, self.pipe.close, exitpriority=10)
 
     def ask(self, request: object) -> None:
-        """Send a request, which is pickled."""
+        """Pickle and send a request."""
         self.send(pickle.dumps(request, pickle.HIGHEST_PROTOCOL))
 
     def send(self, request: bytes) -> None:
-        """Send a request that is pickled already, as for several helpers."""
+        """Send a pickled request, for example the same one to several helpers."""
         try:
             self.pipe.send_bytes(request)
         except OSError:
             raise self._gone from None
 
     def answered(self) -> bool:
-        """Return whether `answer` would return at once, or raise."""
+        """Return whether `answer` would return or raise at once."""
         return self.pipe.poll()
 
     def answer(self) -> Any:
-        """Wait for the answer to the earliest request that has none yet, and return it."""
+        """Wait for and return the answer to the earliest open request."""
         try:
             error, result = self.pipe.recv()
         except (EOFError, OSError):
@@ -131,7 +129,7 @@ class Helper:
         return result
 
     def close(self) -> None:
-        """End the helper, after the request that it is working on; those that wait are forgotten."""
+        """End the helper after its current request. Discard the requests in its queue."""
         if self in _open:
             _open.remove(self)
             self._finalizer()
@@ -150,19 +148,19 @@ class Helper:
 
 
 def shared(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, gone: Exception) -> list[Result]:
-    """Return the results of `work` for some items, in their order, from `jobs` parallel helpers.
+    """Return the results of `work` for all items, in order, computed by at most `jobs` parallel helpers.
 
-    Each helper gets its next item when it is done with one, the first items first. With one job or item, or
-    where there can be no helpers, the work is done here.
+    An idle helper gets the next item. With one job or item, or where helpers are unavailable, this process
+    does the work.
 
     Args:
-        work: makes of an item its result; both are pickled on their way.
-        items: what to work on.
-        jobs: number of helpers, at most.
-        gone: what to raise if a helper ends by itself.
+        work: returns the result of an item; both are pickled.
+        items: the items.
+        jobs: largest number of helpers.
+        gone: exception to raise if a helper ends early.
 
     Raises:
-        Exception: what `work` raised, first of all; the helpers are ended then.
+        Exception: the first exception of `work`; it closes the helpers.
     """
     if min(jobs, len(items)) <= 1 or not can_help():
         return [work(item) for item in items]
@@ -186,7 +184,7 @@ def shared(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, gon
 
 @contextmanager
 def _signals_blocked() -> Iterator[None]:
-    """Block `SIGNALS` in the body, so that none arrives between a fork and its follow-up."""
+    """Block `SIGNALS` in the body, so that none arrives before a new fork ignores them."""
     numbers = {getattr(signal, name) for name in SIGNALS}
     before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
     try:
@@ -196,13 +194,13 @@ def _signals_blocked() -> Iterator[None]:
 
 
 def _work(serve: Callable[[Any], Any], pipe: Connection, others: list[Connection], waiting: int) -> None:
-    """Answer requests until the helper's maker has closed the pipe, or is gone.
+    """Answer requests in the helper until its parent closes the pipe or ends.
 
-    A thread reads the requests, so that its maker can go on while it works.
+    A separate thread reads requests, so that the parent does not block while the helper works.
     """
     end_with_parent()
     _open.clear()
-    with suppress(ValueError):  # there are no handlers to set if it was not forked from a main thread
+    with suppress(ValueError):  # `signal.signal` raises it outside the main thread.
         for name in SIGNALS:
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {getattr(signal, name) for name in SIGNALS})
@@ -221,7 +219,7 @@ def _work(serve: Callable[[Any], Any], pipe: Connection, others: list[Connection
 
 
 def _read(pipe: Connection, requests: "queue.Queue[bytes | None]", closed: threading.Event) -> None:
-    """Put pipe contents into a queue, and None at its end."""
+    """Move requests from a pipe to a queue, and add None at the end of the pipe."""
     try:
         while True:
             requests.put(pipe.recv_bytes())
@@ -231,7 +229,7 @@ def _read(pipe: Connection, requests: "queue.Queue[bytes | None]", closed: threa
 
 
 def _portable(error: Exception) -> Exception:
-    """Return an error that survives pickling, with the trace of its own process as a note."""
+    """Return an error that survives pickling, with the helper's traceback as a note."""
     error.add_note("in a helper:\n" + "".join(traceback.format_exception(error)).rstrip())
     try:
         copy = pickle.loads(pickle.dumps(error))

@@ -1,30 +1,29 @@
-"""How work that takes long reports its progress, without knowing whether and where that is shown.
+"""Interface by which long-running work reports its progress.
 
-Everything that can take long (a run, a study, a benchmark, a labelled data set, detection in a video) takes a
-`Progress` as an argument of that name. The command line gives one that draws a bar on the terminal
-(`skyherd.cli.console`); the default everywhere is `NO_PROGRESS`, which shows nothing.
+Functions that can take long (a run, a study, a benchmark, a labelled data set, detection in a video) have an
+argument `progress`. The command line passes a progress bar (`skyherd.cli.console`). The default is
+`NO_PROGRESS`, which shows nothing.
 """
 
 from typing import Protocol
 
 
 class Progress(Protocol):
-    """Display of the progress of a piece of work.
+    """Display of the progress of long-running work.
 
-    Work may consist of several tasks, one after the other, such as the files of a folder. The worker calls
-    `update` at the beginning of each task and then as often as it likes, from one thread. There is nothing to
-    be called at the end: a task is over when another is named or when the work returns. The work
-    waits for each call, which therefore must be quick and must not raise an exception.
+    Work may consist of consecutive tasks, such as the files of a folder. It calls `update` at the beginning
+    of each task, and then at any rate, from one thread. A task is over when the work names another one, or
+    returns. Each call blocks the work, so it must be quick. It must not raise an exception.
     """
 
     def update(self, name: str, done: float, total: float | None, state: str | None = None) -> None:
-        """Show the progress of the task of this name.
+        """Show the progress of a task.
 
         Args:
-            name: what is being done, in a few words; another name than before means another task.
-            done: the amount that is done, in any unit: runs, images, simulated seconds.
-            total: the amount at which the task is finished, in the same unit; None if it is not known.
-            state: a few words about how it goes. If left out, done and total say it.
+            name: name of the task, in a few words; a new name starts a new task.
+            done: completed amount, in any unit: runs, images, simulated seconds.
+            total: amount of the whole task, in the same unit; None if unknown.
+            state: status in a few words; by default the display shows `done` and `total`.
         """
 
 
@@ -36,4 +35,4 @@ class NoProgress:
 
 
 NO_PROGRESS: Progress = NoProgress()
-"""The default of every argument of type `Progress`."""
+"""Default of all arguments of type `Progress`."""

@@ -1,4 +1,4 @@
-"""The radio by Zenoh: each process a peer, and nothing between them."""
+"""Radio over Zenoh: all processes are peers, without a broker or router."""
 
 import json
 import threading
@@ -13,32 +13,31 @@ from skyherd.live.lab import LabRadio
 from skyherd.live.mailbox import Radio
 
 ANY_PORT = "tcp/127.0.0.1:0"
-"""Additional address on which a process without TLS listens: any port of loopback. Only one process of a
-machine gets the port of the file. The others connect to it, learn of each other there, and connect here."""
+"""Additional endpoint of a process without TLS: any free port of loopback. Only one process of a machine gets
+the port of the lab file. The others connect to it, learn each other's endpoints, and connect directly."""
 
 RETRY_MS = 300
-"""Time between two tries to get the port of the file, and to reach its owner, ms. Chosen: a new process
-is alone for this time."""
+"""Interval of retries to listen and to connect, ms. Chosen: a new process may be without peers for this
+time."""
 
 CLOSE_S = 1.0
-"""Longest time that leaving takes, s. Chosen: what was published is sent within milliseconds."""
+"""Timeout of `ZenohRadio.close`, s. Chosen: published messages are sent within milliseconds."""
 
 
 class ZenohRadio(Radio):
-    """A Zenoh session in peer mode, which nothing finds that is not told where.
+    """Zenoh session in peer mode, without multicast scouting.
 
-    Multicast scouting is off. Peers tell each other of the peers that they know, so that it is enough for
-    each to reach one. Where the port of the file is taken, a process tries on, and takes it over once it is
-    free: no process is the middle. It tries on to reach the others, too: of two that begin at the same moment
-    neither has the port yet when the other one looks for it.
+    Peers exchange the endpoints that they know, so each one needs to reach only one other. A process without
+    the port of the lab file retries, and takes it over when it is free: no process is a single point of
+    failure. It also retries to connect. Two processes that start together find no port open at first.
 
     Args:
-        places: where to listen and to connect to.
-        folder: the folder to which names of certificates are relative.
-        insecure: allow places beyond loopback without TLS and client certificates.
+        places: endpoints to listen on and to connect to.
+        folder: folder to which names of certificate files are relative.
+        insecure: True allows endpoints beyond loopback without TLS and client certificates.
 
     Raises:
-        InputError: Zenoh is not installed, the places are not secured, or Zenoh refuses them.
+        InputError: Zenoh is not installed, an endpoint is not secured, or Zenoh refuses the endpoints.
     """
 
     def __init__(self, places: LabRadio, folder: Path, *, insecure: bool = False) -> None:
@@ -79,22 +78,21 @@ class ZenohRadio(Radio):
         self._subscribers: list[Any] = []
 
     def publish(self, topic: str, data: bytes) -> None:
-        """Send to all that listen now; dropped where the line is full."""
+        """Send bytes to all current subscribers. They are dropped where a connection is congested."""
         self._session.put(topic, data, congestion_control=self._drop)
 
     def subscribe(self, pattern: str, take: Callable[[bytes], None]) -> None:
-        """Call `take`, from a thread of Zenoh's, with all that comes under a pattern."""
+        """Call `take`, in a thread of Zenoh, with each message whose topic matches a pattern."""
         self._subscribers.append(
             self._session.declare_subscriber(pattern, lambda sample: take(bytes(sample.payload)))
         )
 
     def close(self) -> None:
-        """Leave the others; what was published before is sent.
+        """Close the session after the published messages are sent. Wait `CLOSE_S` at most.
 
-        Zenoh's own closing waits ten seconds for a process that still tries to get the port of the file: the
-        task that tries is not told to end (eclipse-zenoh/zenoh issue 2675 and pull request 2754, both open
-        in August 2026). So this waits for `CLOSE_S` only. The connections end with the process at the latest,
-        at which the others notice.
+        Zenoh's own `close` waits ten seconds while a process still retries to listen. It does not cancel the
+        task of the retries (eclipse-zenoh/zenoh issue 2675 and pull request 2754, both open in August 2026).
+        The connections end with the process at the latest, and the other peers notice.
         """
         closing = threading.Thread(target=self._close_session, daemon=True)
         closing.start()
@@ -106,10 +104,11 @@ class ZenohRadio(Radio):
 
 
 def additional_places(places: LabRadio) -> list[str]:
-    """Return the addresses with a free port on which a process listens beside those of the file.
+    """Return the additional endpoints of a process, on any free port.
 
-    With certificates these use TLS and the hosts of the file, for which the certificate was issued. Without
-    certificates there is a plain port, on loopback only, and none if the file asks for TLS.
+    With certificates they use TLS and the hosts of the lab file, for which the certificate was issued.
+    Without certificates there is one plain endpoint on loopback, if all endpoints of the file are plain and
+    on loopback.
     """
     if places.has_certificates:
         named = places.listen or (places.connect if places.is_loopback else [])

@@ -1,10 +1,10 @@
-"""Execution of runs in many processes by Dask: local ones, or those of an existing cluster.
+"""Parallel execution of runs by Dask, in local processes or on an existing cluster.
 
-A worker makes one run at a time on one thread, without any file (`skyherd.study.measure`), and sends back its
-outcome. Local workers listen to this machine alone and have no dashboard. Any client of a worker can let it
-run anything, and every user of a machine reaches its ports. Local workers and their scheduler therefore use
-mutual TLS, with a certificate that is made for the run and stays in memory.
-Local workers and their temporary files end with this process, even if it is killed.
+A thread of a worker executes one run at a time, without files (`skyherd.study.measure`), and returns its
+outcome. Local workers listen on loopback only, and have no dashboard. Any client of a worker can execute code
+there, and every user of a machine has access to its ports. Local workers and their scheduler therefore use
+mutual TLS, with a temporary certificate that stays in memory. Local workers and their temporary files end
+with this process, even if it is killed.
 """
 
 import logging
@@ -30,26 +30,26 @@ from skyherd.study.measure import Outcome, failure, measure
 from skyherd.version import __version__
 
 PROTOCOLS = ("tcp://", "tls://")
-"""How the address of a scheduler begins."""
+"""Prefixes of scheduler addresses."""
 
 WINDOW = 4
-"""Runs that are submitted at a time for each thread of the cluster. Chosen: with 1 threads wait between two
-runs; larger values make more missions before they are needed."""
+"""Submitted runs per thread of the cluster. Chosen: with 1, threads wait between two runs. Larger values make
+missions earlier than needed."""
 
 TIMEOUT_S = 5.0
-"""Time, s, in which a scheduler must answer, and have a worker."""
+"""Timeout of a scheduler's answer, and again of its first worker, s. Chosen."""
 
 WORKER_DEATHS = 2
-"""A run that was on more workers than this when they died is taken as the reason, and counts as failed."""
+"""Largest number of workers that may die during one run; with one more, the run counts as failed. Chosen."""
 
 LOST = "lost"
-"""Status of a run whose outcome died with its worker; the scheduler gives it to another. Defined by Dask."""
+"""Status of a run whose outcome was lost with its worker. The scheduler repeats it. Defined by Dask."""
 
 GONE = "the scheduler stopped; the same command continues from here"
 """Message of the error when the cluster stops answering."""
 
 LOGGERS = ("distributed", "distributed.client", "distributed.utils", "tornado", "asyncio")
-"""Loggers that are silenced: an error of the cluster is reported once, as an exception of skyherd."""
+"""Silenced loggers: an exception of skyherd reports each error of the cluster once."""
 
 WORKER_START = "skyherd.study.worker_start"
 """Module that Dask loads in each local worker before its first run."""
@@ -58,7 +58,7 @@ _SETTINGS = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
     "distributed.scheduler.allowed-failures": WORKER_DEATHS,
-    "distributed.scheduler.worker-saturation": 1.0,  # no run waits on a worker, lest it be blamed for a death
+    "distributed.scheduler.worker-saturation": 1.0,  # Waiting runs would be blamed for a worker's death.
     "distributed.admin.large-graph-warning-threshold": "1GB",
     "distributed.nanny.pre-spawn-environ.OPENBLAS_NUM_THREADS": 1,
     "distributed.nanny.pre-spawn-environ.OMP_NUM_THREADS": 1,
@@ -72,11 +72,11 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
 
     Args:
         scheduler: address of a scheduler, such as `tcp://192.168.1.2:8786`; local processes if None.
-        jobs: number of local processes of one thread; one a core if None.
+        jobs: number of local processes with one thread each; one per core if None.
 
     Raises:
-        InputError: nothing answers there, it has no workers, or their version of skyherd is another.
-        OutputError: local processes could not be started.
+        InputError: the scheduler does not answer, has no workers, or a worker has another version of skyherd.
+        OutputError: the local processes or their temporary folder cannot be made.
     """
     for name in LOGGERS:
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -100,17 +100,17 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
 def run_missions(
     client: Client, missions: Iterable[tuple[str, Mission]], curves: Sequence[str]
 ) -> Iterator[list[Outcome]]:
-    """Run missions, and yield their outcomes in batches as they come, in no particular order.
+    """Run missions on a cluster, and yield batches of outcomes in order of completion.
 
-    Missions are taken from the iterable only when a worker will soon be free, so that there may be very many.
+    The iterable may be very long: a mission is taken only shortly before a thread is free for it.
 
     Args:
-        client: of the cluster.
+        client: client of the cluster.
         missions: key and mission of each run.
-        curves: fields of the history that are kept as arrays over time.
+        curves: fields of the history to keep as arrays over time.
 
     Raises:
-        OutputError: the cluster is gone.
+        OutputError: the scheduler stopped.
     """
     waiting, done = iter(missions), as_completed()
     while True:
@@ -122,7 +122,7 @@ def run_missions(
         outcomes = []
         for future in done.next_batch():
             if future.status == LOST and client.status == "running":
-                done.add(future)  # its worker died before the outcome was fetched: it is made again
+                done.add(future)  # The worker died before its outcome was fetched.
             else:
                 outcomes.append(_outcome(future))
         if outcomes:
@@ -130,7 +130,7 @@ def run_missions(
 
 
 def _threads(client: Client) -> int:
-    """Return the cluster's current threads, at least 1; OutputError if the scheduler is gone."""
+    """Return the cluster's current number of threads, at least 1. Raise OutputError without a scheduler."""
     try:
         threads: int = sum(client.nthreads().values())
     except OSError:
@@ -153,16 +153,16 @@ def _outcome(future: Any) -> Outcome:
 
 @contextmanager
 def _interrupts_delayed() -> Iterator[None]:
-    """Delay an interrupt (Ctrl-C) until workers have started, since half-started ones cannot be closed.
+    """Delay SIGINT and SIGTERM until workers have started, since half-started ones cannot be closed.
 
-    Workers inherit the signal mask of this thread, also those that are started later: only this process
-    reacts to an interrupt. SIGTERM is delayed too, but not masked: by it workers are ended.
+    Workers inherit the signal mask of this thread, also those that start later. Only this process reacts to
+    SIGINT (Ctrl-C). SIGTERM is delayed but not masked, since it ends workers.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     delayed: list[int] = []
-    resource_tracker.ensure_running()  # started later, it would take the mask away
+    resource_tracker.ensure_running()  # Started later, it would reset the mask.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     handlers = {
         number: signal.signal(number, lambda number, frame: delayed.append(number))
@@ -179,11 +179,14 @@ def _interrupts_delayed() -> Iterator[None]:
 
 
 def _local_cluster(jobs: int, folder: Path) -> LocalCluster:
-    """Start workers of one thread that listen to this machine alone, by TLS, without a dashboard.
+    """Start workers with one thread each, on loopback by TLS, without a dashboard.
 
     Args:
         jobs: number of workers.
-        folder: for their temporary files.
+        folder: folder of their temporary files.
+
+    Raises:
+        OutputError: the workers cannot be started.
     """
     try:
         return LocalCluster(
@@ -220,7 +223,7 @@ def _connect(address: str) -> Iterator[Client]:
         raise InputError(f"--scheduler {address}", f"TLS fails: {error.reason}", allowed) from None
     except OSError:
         raise InputError(f"--scheduler {address}", "no scheduler answers there", allowed) from None
-    except TypeError:  # of a TLS address without certificates
+    except TypeError:  # A TLS address without certificates.
         raise InputError(f"--scheduler {address}", "no certificates for TLS", allowed) from None
     except (ValueError, RuntimeError):
         raise InputError(f"--scheduler {address}", "not an address", allowed) from None
@@ -237,7 +240,7 @@ def _connect(address: str) -> Iterator[Client]:
 
 
 def _version() -> str:
-    """Return skyherd's version at the place of the call: on a worker."""
+    """Return the version of skyherd in the process of the call, such as a worker."""
     return __version__
 
 

@@ -5,11 +5,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
-Grey = npt.NDArray[np.uint8]
-"""Grey levels of 8 bits, (height, width)."""
+from skyherd.files.images import Grey
 
 Clock = Callable[[], float]
 """Function that returns a monotonic time, s, with an arbitrary origin."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skyherd.live.cameras.frame import Grey
+from skyherd.files.images import Grey
 
 STEP = 8
 """Subsampling step of the tests for black and uniform pictures, px. *Chosen*: readable markers are larger."""

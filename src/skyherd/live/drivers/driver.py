@@ -1,4 +1,4 @@
-"""The thread that keeps a robot informed: the last command while it is fresh, and then zero."""
+"""Driver of one robot: a watchdog that repeats the last command while it is fresh, and then sends zero."""
 
 import threading
 import time
@@ -16,41 +16,44 @@ from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
 RATE_HZ = 20.0
-"""How often a command is repeated, 1/s. *Chosen*: robots stop after some tenths of a second without one."""
+"""Default rate at which commands are written, Hz. *Chosen*: robots stop after some tenths of a second without
+a command."""
 
 HOLD_S = 0.5
-"""Age at which a command is forgotten and zero is sent, s. *Chosen*: two or three images of a slow camera."""
+"""Default watchdog time: age at which a command is stale and zero is sent, s. *Chosen*: two or three images
+of a slow camera."""
 
 MIN_SHARE = 0.25
-"""A new command is written at once, but no sooner after another than this share of the usual interval.
-*Chosen*: a caller that sends too often does not fill a slow line."""
+"""Shortest interval between two writes, as a share of the regular one. After it, a new command is written at
+once. *Chosen*: a caller that sends too often does not fill a slow line."""
 
 STOPS = 3
-"""How often zero is written by `close`. *Chosen*: one or two may get lost on the way."""
+"""Number of zero commands that `close` writes. *Chosen*: one or two may get lost."""
 
 CLOSE_S = 2.0
-"""How long `close` waits until zero is out, s. *Chosen*: longer than any link's `write` should take."""
+"""Longest time that `close` waits for the thread, s. *Chosen*: longer than any link's `write` should take."""
 
 
 class RobotDriver:
-    """Drives one robot: repeats its last command while that is fresh, and sends zero once it is not.
+    """Driver of one robot with a watchdog: it repeats the last command while fresh, and then sends zero.
 
-    All writing happens in a thread of its own, at a steady rate. `send` only leaves the command there
-    and never waits. Without further calls the robot stops. Commands are brought within the limits first.
+    A separate thread writes at a steady rate. `send` only replaces the command, and never blocks. Without
+    further calls the robot stops. The driver limits each motion before it writes it.
 
     Args:
-        link: where motions are written to.
-        robot_id: the robot, or the unit that flies.
-        limits: on speed, turn and acceleration.
-        flies: whether it is a unit that flies, which all that is written says.
-        rate_hz: how often something is written.
-        hold_s: age at which a command is forgotten.
-        clock: gives the time, s.
-        pause: waits for so many seconds, or less if there is a new command; a real wait if None.
+        link: connection to the robot.
+        robot_id: the robot, or the flying unit.
+        limits: limits of speed, turn rate and acceleration.
+        flies: True for a flying unit; each written motion carries it.
+        rate_hz: rate at which commands are written.
+        hold_s: watchdog time; commands of this age are stale, and zero is sent.
+        clock: returns the time, s.
+        pause: waits for a number of seconds, or until a new command; the default wait if None.
 
     Attributes:
-        written: number of motions that were written.
-        failed: number of those that could not be.
+        name: name of the link.
+        written: number of attempts to write a motion.
+        failed: number of attempts that failed.
 
     Raises:
         InputError: `rate_hz` or `hold_s` is not above 0.
@@ -84,10 +87,10 @@ class RobotDriver:
         self._thread.start()
 
     def send(self, command: VelocityCommand) -> None:
-        """Take over the command for this robot, among those for a team.
+        """Set the command to this robot's row of a team's command.
 
         Raises:
-            MessageError: there is none for it.
+            MessageError: the command has no row for this robot.
         """
         row = np.flatnonzero(command.ids == self.robot_id)
         if not row.size:
@@ -97,10 +100,10 @@ class RobotDriver:
         self.send_motion(Motion(command.v_mps[row[0]], command.omega_radps[row[0]]))
 
     def send_flight(self, command: FlightCommand) -> None:
-        """Take over a flight command of a unit whose camera looks down with its image's top ahead.
+        """Set the command to a flight command. The camera looks down, and the top of its image is ahead.
 
         Raises:
-            InputError: it is the driver of a robot on wheels.
+            InputError: the driver is one of a wheeled robot.
         """
         if not self.flies:
             raise InputError(f"driver {self.name}", "a flight command for wheels", "a driver with flies=True")
@@ -115,18 +118,18 @@ class RobotDriver:
         )
 
     def send_motion(self, motion: Motion) -> None:
-        """Take over a motion; its numbers may be anything, since they are limited before they are written."""
+        """Set the command to a motion with arbitrary values; the driver limits them before it writes."""
         with self._lock:
             self._wanted, self._sent_s = motion, self._clock()
         self._news.set()
 
     @property
     def trouble(self) -> str | None:
-        """Why the last motion could not be written, in one line; None if it could."""
+        """Reason why the last motion could not be written, in one line; None after a success."""
         return self._trouble
 
     def close(self) -> None:
-        """Send zero and close the link. May be called again; after it nothing is written."""
+        """Send zero and close the link. Further calls do nothing."""
         self._closing.set()
         self._news.set()
         if self._thread is not threading.current_thread():
@@ -141,7 +144,7 @@ class RobotDriver:
         self.close()
 
     def _run(self) -> None:
-        """Write at a steady rate until closed; zero comes last, whatever happens."""
+        """Write at a steady rate until `close`. Zero is written last, also after an error."""
         try:
             while not self._closing.is_set():
                 self._write(self._due())
@@ -152,19 +155,19 @@ class RobotDriver:
             self._link.close()
 
     def _await_news(self, seconds: float) -> None:
-        """Wait until there is a new command, for so long at most, and for a share of it in any case."""
+        """Wait until a new command or the end of a time, but at least for `MIN_SHARE` of the time."""
         if not self._closing.wait(MIN_SHARE * seconds):
             self._news.wait((1 - MIN_SHARE) * seconds)
         self._news.clear()
 
     def _due(self) -> Motion:
-        """Return the next bytes to write."""
+        """Return the last command, or zero if it is stale."""
         with self._lock:
             age_s = self._clock() - self._sent_s
             return self._wanted if 0 <= age_s < self.hold_s else STILL
 
     def _write(self, motion: Motion) -> None:
-        """Write a motion within the limits; what cannot be written is counted."""
+        """Limit and write a motion. Count failures, and keep the reason of the last one."""
         now_s = self._clock()
         allowed = self._limiter.limit(motion, now_s - self._written_s)
         self._written_s = now_s
@@ -172,7 +175,7 @@ class RobotDriver:
         try:
             self._link.write(replace(allowed, flies=self.flies))
             self._trouble = None
-        except Exception as error:  # a link of one's own may fail in any way, and zero must still be tried
+        except Exception as error:  # A custom link may raise anything, and zero must still be tried.
             self.failed += 1
             words = " ".join(str(getattr(error, "strerror", None) or error).split())
             self._trouble = f"{self.name}: cannot be written to: {words or type(error).__name__}"

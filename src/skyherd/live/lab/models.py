@@ -1,4 +1,4 @@
-"""The keys of a lab file, each checked by itself; `checks` has what they have to keep together."""
+"""Keys of a lab file with their types and ranges. `skyherd.live.lab.checks` has the other checks."""
 
 import ipaddress
 from typing import Annotated
@@ -19,25 +19,25 @@ from skyherd.datasets import (
 from skyherd.errors import InputError
 
 MAX_ROBOTS = 1000
-"""Greatest number of robots of a lab. Chosen: each is a process and a radio peer."""
+"""Largest number of robots of a lab. Chosen: each is a process and a radio peer."""
 
 Seconds = Annotated[FiniteFloat, Field(ge=0.001, le=3600)]
 """A time span, s."""
 
 Speed = Annotated[FiniteFloat, Field(gt=0, le=20)]
-"""A limit on a speed or an acceleration of a robot. The range is chosen: beyond any robot indoors, so that a
-slip of the decimal point is refused."""
+"""Limit of a robot's speed or acceleration, in SI units. The range is chosen: it exceeds any indoor robot,
+and rejects a misplaced decimal point."""
 
 Text = Annotated[str, Field(min_length=1, max_length=300)]
 """A name or an address."""
 
 TEAM_PATTERN = r"^\w[\w-]{0,39}$"
-"""Names that a team may have, as JSON schemas write it. *Chosen*: it is part of the radio's topics, in which
-slashes and stars mean something."""
+"""Regular expression of a team's name, also in the JSON schema. *Chosen*: the name is part of the radio's
+topics, where slashes and stars are special characters."""
 
 
 class LabShape(Model):
-    """The shape to form: one of `shape` and `points`."""
+    """Shape to form: exactly one of `shape` and `points`."""
 
     shape: str | None = Field(None, description="circle, grid, line, star, triangle, or word:SKY")
     points: list[Point] | None = Field(
@@ -48,7 +48,7 @@ class LabShape(Model):
 
 
 class LabMarkers(Model):
-    """The printed markers."""
+    """Printed markers."""
 
     dictionary: DictionaryName = Field(
         "4X4_50", description="marker dictionary, named as in `skyherd markers --help` or in OpenCV"
@@ -59,7 +59,7 @@ class LabMarkers(Model):
 
 
 class LabCamera(Model):
-    """One aerial unit: a camera that looks down on the robots, and the computer behind it."""
+    """One aerial unit: a camera that looks down on the robots, and its computer."""
 
     address: Text = Field(
         description="/dev/video0, rtsp://…, http://…, tcp://…, udp://…, a video file, a folder of images, or "
@@ -78,7 +78,7 @@ class LabRobot(Model):
 
 
 class LabControl(Model):
-    """The robots' law."""
+    """Control law of the robots."""
 
     k: Annotated[FiniteFloat, Field(gt=0, le=100)] = Field(
         0.3, description="1/s; speed per metre to the goal"
@@ -104,7 +104,7 @@ class LabControl(Model):
 
 
 class LabLimits(Model):
-    """Limits of the robots' motions, and of the time without messages. No message exceeds them."""
+    """Limits of the robots' motions, of the age of goals, and of clock errors. They hold for any message."""
 
     max_speed_mps: Speed = Field(0.2, description="m/s; limit on |v|")
     max_turn_radps: Speed = Field(1.5, description="rad/s; limit on |omega|")
@@ -124,11 +124,11 @@ class LabLimits(Model):
 
 
 TLS_PROTOCOLS = ("tls/", "quic/")
-"""Beginnings of Zenoh addresses whose connections use TLS. Defined by Zenoh."""
+"""Prefixes of Zenoh locators whose connections use TLS. Defined by Zenoh."""
 
 
 class LabAvoidance(AvoidanceModel):
-    """Collision avoidance between robots, and with obstacles."""
+    """Collision avoidance among robots, and with obstacles."""
 
     body_radius_sides: Annotated[FiniteFloat, Field(ge=0, le=1000)] = Field(
         0.0, description="marker sides; radius of the robots' round bodies; above 0 if avoidance is on"
@@ -139,7 +139,7 @@ class LabAvoidance(AvoidanceModel):
 
 
 class LabRadio(Model):
-    """Radio endpoints by which the processes find each other."""
+    """Zenoh endpoints and certificates by which the processes connect."""
 
     listen: list[Text] = Field(
         ["tcp/127.0.0.1:7450"],
@@ -153,12 +153,12 @@ class LabRadio(Model):
 
     @property
     def is_loopback(self) -> bool:
-        """Return whether nothing outside this machine can take part."""
+        """True if all endpoints are on loopback, so that only this machine has access."""
         return all(_is_loopback(place) for place in (*self.listen, *self.connect))
 
     @property
     def is_secured(self) -> bool:
-        """Return whether each place that is not on loopback is reached by TLS with client certificates."""
+        """True if every endpoint is on loopback, or uses TLS with client certificates."""
         return all(
             _is_loopback(place) or (place.startswith(TLS_PROTOCOLS) and self.has_certificates)
             for place in (*self.listen, *self.connect)
@@ -166,20 +166,23 @@ class LabRadio(Model):
 
     @property
     def has_certificates(self) -> bool:
-        """Return whether all three files for TLS are named."""
+        """True if all three files for TLS are given."""
         return bool(self.authority and self.certificate and self.key)
 
     @property
     def plain_places(self) -> list[str]:
-        """Addresses to listen on or connect to without TLS."""
+        """Endpoints to listen on or connect to without TLS."""
         return [place for place in (*self.listen, *self.connect) if not place.startswith(TLS_PROTOCOLS)]
 
     def check(self, *, insecure: bool) -> None:
-        """Refuse a radio that others could listen to or speak on, unless that is asked for.
+        """Refuse a radio to which other machines have access without client certificates.
+
+        Args:
+            insecure: True allows it.
 
         Raises:
-            InputError: a place is neither on loopback nor reached by TLS with client certificates, a place is
-                plain although certificates are given, or only some of the files for TLS are named.
+            InputError: an endpoint beyond loopback lacks TLS with client certificates; or an endpoint has no
+                TLS although certificates are given; or some files for TLS are missing.
         """
         if insecure:
             return
@@ -203,7 +206,7 @@ class LabRadio(Model):
 
 
 class LabRecording(Model):
-    """Recording of images for viewers, in addition to all messages."""
+    """Images that units record for viewers, in addition to messages and decisions."""
 
     image_rate_hz: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
         1.0, description="1/s; rate of images with their detections; 0 for none"
@@ -214,7 +217,7 @@ class LabRecording(Model):
 
 
 def _is_loopback(place: str) -> bool:
-    """Return whether a Zenoh locator, such as `tcp/127.0.0.1:7450`, is on loopback."""
+    """Return whether a Zenoh locator such as `tcp/127.0.0.1:7450` is on loopback."""
     host = place.partition("/")[2].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True
@@ -225,7 +228,7 @@ def _is_loopback(place: str) -> bool:
 
 
 class LabModel(Model):
-    """A whole lab."""
+    """Content of a lab file."""
 
     team: str = Field(
         description="name of the team; messages of another one are refused",

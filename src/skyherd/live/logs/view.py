@@ -23,7 +23,7 @@ class View:
         ids: (N,) robots with a goal.
         goals_px: (N, 2) positions of their goals, px of the camera's image.
         shape_error: RMS distance of the robots to the best-fitting similarity of the shape, divided by their
-            RMS radius, on the ground as estimated by the unit; NaN with fewer than three robots.
+            RMS radius. The unit estimates both on the ground. NaN with fewer than three robots.
         robots: number of robots of the shape in the image.
     """
 

@@ -1,8 +1,8 @@
-"""A scenario's world as a process of its own: to the rest of the system it is hardware.
+"""Simulated world as a separate process, which replaces the hardware of a lab.
 
-It renders the image of each camera and streams it as H.264 in FLV over TCP to its clients. Robots and units
-move by the commands that come over the radio. Wheels stop by themselves without a command for `HOLD_S`, as
-those of a robot with a keep-alive do. This process alone knows the truth, and records it.
+It renders the images of all cameras and streams each as H.264 in FLV over TCP, to one viewer at a time.
+Robots and units follow commands from the radio. Wheels have a watchdog like real robots: they stop `HOLD_S`
+after the last command. Only this process knows the ground truth, and records it.
 """
 
 import math
@@ -29,17 +29,16 @@ from skyherd.sim.physics import make_world
 from skyherd.sim.truth_metrics import TruthObserver
 
 HOLD_S = 0.5
-"""A wheel without a command for so long stands still, s of real time. Chosen: as the drivers of
-`skyherd.live.drivers` do."""
+"""Watchdog time of the wheels, s of real time. Chosen: the one of `skyherd.live.drivers`."""
 
 FIRST_PORT = 7461
-"""Port of the first camera. Chosen: beside the radio's."""
+"""TCP port of the first camera. Chosen: close to the radio's."""
 
 TOPICS: dict[str, Schema] = {
     "/scenario": ("skyherd.WorldScenario", {"type": "object"}),
     "/truth": ("skyherd.WorldTruth", {"type": "object"}),
 }
-"""Topics of the world's record: the scenario, and for each step all poses and wheel commands."""
+"""Topics of the recording: the scenario, and for each step positions, headings and wheel commands."""
 
 
 @dataclass
@@ -47,9 +46,9 @@ class WheelState:
     """Last command to the wheels of one robot.
 
     Attributes:
-        v_mps: speed, in metres a second of real time.
-        omega_radps: turn rate, in radians a second of real time.
-        told_s: when, by the world's clock; -inf if never.
+        v_mps: speed, m per second of real time.
+        omega_radps: turn rate, rad per second of real time.
+        told_s: time of its arrival, on the world's clock; -inf without a command.
     """
 
     v_mps: float = 0.0
@@ -59,15 +58,16 @@ class WheelState:
 
 @dataclass
 class WorldProcess:
-    """The world of a mission, a step at a time, between a radio and viewers of its cameras.
+    """World of a mission: it receives commands, advances in time steps, and shows pictures on its streams.
 
     Attributes:
-        mission: what is simulated.
-        speed: seconds of the scenario a second of real time.
-        clock: the time of the wheels' commands.
-        mailbox: what it hears.
-        path: where it records the truth; None for nowhere.
-        streams: the cameras, by unit.
+        mission: the simulated mission.
+        speed: seconds of the scenario per second of real time.
+        clock: returns the time by which commands age, s.
+        mailbox: received messages.
+        path: file of the recorded ground truth; None for no recording.
+        streams: streams of the cameras, by unit; further cameras are not rendered.
+        wheels: last wheel command of each robot, by marker id.
     """
 
     mission: Mission
@@ -94,11 +94,11 @@ class WorldProcess:
 
     @property
     def time_s(self) -> float:
-        """Time of the scenario."""
+        """Time of the scenario, s."""
         return self._time_s
 
     def hear(self) -> None:
-        """Take in what has come over the radio."""
+        """Process the received wheel and flight commands."""
         for arrival in self.mailbox.fetch():
             message = arrival.envelope.message
             if isinstance(message, Wheels) and message.robot_id in self.wheels:
@@ -108,7 +108,7 @@ class WorldProcess:
                 self._world.fly(self._slowed(message))
 
     def step(self) -> float:
-        """Show the cameras the world, advance by a time step, and return the shape error before it."""
+        """Show the pictures that are due, advance by a time step, and return the shape error before it."""
         scenario, now_s = self.mission.scenario, self.clock()
         self._begun_s = now_s if self._begun_s is None else self._begun_s
         for unit, model in enumerate(scenario.units):
@@ -129,7 +129,7 @@ class WorldProcess:
         return float(metrics.shape.error)
 
     def close(self) -> None:
-        """Finish the recording, and end the streams."""
+        """Finish the recording and end the streams."""
         if self._log is not None:
             self._log.close()
         for stream in self.streams:
@@ -151,7 +151,7 @@ class WorldProcess:
         )
 
     def _slowed(self, command: FlightCommand) -> FlightCommand:
-        """Return a flight command in seconds of the scenario."""
+        """Return a flight command whose rates are per second of the scenario."""
         share = 1 / self.speed
         return replace(
             command,
@@ -196,19 +196,20 @@ def run_world(
     tell: Callable[[str], None] = lambda line: None,
     ended: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Be a world in real time, or at a fraction of it, for the scenario's duration.
+    """Run the world of a mission for the scenario's duration, at a multiple of real time.
 
-    Each step lasts `step_s / speed`; where the machine is too slow for that, the world is late, and says so.
+    Each step takes `step_s / speed` of real time. On a slower machine the world falls behind, and reports the
+    number of late steps.
 
     Args:
-        mission: what is simulated.
-        radio: brings the commands.
-        team: whose commands are obeyed.
-        speed: seconds of the scenario a second of real time.
-        path: where the truth is recorded; None for nowhere.
-        first_port: TCP port of the first camera; the others follow.
-        tell: says a line to people.
-        ended: asked before each step; True ends the world.
+        mission: the simulated mission.
+        radio: radio of the commands.
+        team: team whose commands the world follows.
+        speed: seconds of the scenario per second of real time.
+        path: file of the recorded ground truth; None for no recording.
+        first_port: TCP port of the first camera; further cameras use the next ports.
+        tell: called with each status line.
+        ended: called before each step; True ends the world.
     """
     clock = LiveClock()
     scenario = mission.scenario

@@ -304,7 +304,11 @@ def test_saturated_and_faint_markers_are_detected(place_markers, draw_markers, k
             assert np.abs(seen.centers_px @ [1, 1j] - centers).max() < 0.15
 
 
-def test_marker_below_the_noise_is_not_detected(place_markers, draw_markers):
+@pytest.mark.parametrize(("divisor", "noise", "found"), [(25, 0.0, 1), (25, 8.0, 0), (64, 0.0, 0)])
+def test_marker_below_noise_or_rounding_is_not_detected(place_markers, draw_markers, divisor, noise, found):
+    """A contrast of 8 grey levels without noise and under noise of 8, and one of 3 grey levels."""
     rng = np.random.default_rng(8)
     image = draw_markers(place_markers(50 + 50j, 0.2, 30.0), [3], (100, 100), rng, noise=0.0)
-    assert not len(PhotometricDetector(DICTIONARY).detect((image // 25 + 100).astype(np.uint8)))
+    faint = image // divisor + 100.0 + rng.normal(0, noise, image.shape)
+    seen = PhotometricDetector(DICTIONARY).detect(np.rint(faint).astype(np.uint8))
+    assert seen.ids.tolist() == [3] * found

@@ -20,7 +20,7 @@ from photograph_stages import Stages, Stopwatch
 from skyherd.jobs.helpers import one_thread
 from skyherd.render import Sensor
 from skyherd.vision import PhotometricDetector, create_detector
-from skyherd.vision.photometric import look
+from skyherd.vision.photometric import detector as stages
 from skyherd.vision.photometric.fitting.compiled import kernel
 from skyherd.vision.photometric.fitting.design_matrix import DesignMatrices
 
@@ -38,7 +38,7 @@ STAGES: Stages = {
         *((kernel(module), name) for module, name in PIXELS),
         (DesignMatrices, "gram_matrices"),
     ],
-    "looks": [(look, "find_quads"), (look, "find_overlooked_quads")],
+    "looks": [(stages, name) for name in ("find_quads", "find_overlooked_quads", "find_faint_quads")],
     "search": [(PhotometricDetector, "_search")],
 }
 """Stages that are timed separately: both parts, and the search, which a followed frame lacks."""

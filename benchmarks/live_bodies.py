@@ -25,6 +25,7 @@ import time
 import tomllib
 from collections import deque
 from dataclasses import dataclass, field
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ from mcap.reader import make_reader
 
 from skyherd.control import newest_roles
 from skyherd.datasets import Mission, load_mission, make_mission, put_value, scenario_text
+from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
 from skyherd.geometry import Array
 from skyherd.live import operator
@@ -285,6 +287,15 @@ def _row(kind: str, seed: int, gaps_m: Array, step_s: float, error: float) -> di
     }
 
 
+def has_room(seed: int) -> bool:
+    """Return whether the small scenario of a seed has room for its robots."""
+    try:
+        make_mission(small_scenario(seed))
+    except InputError:
+        return False
+    return True
+
+
 def run_processes(kind: str, seed: int) -> dict[str, Any]:
     """Run one crowded start with real processes, and return a row of the table."""
     settings = [*PATIENT, *KINDS_OF_RUN[kind][0]]
@@ -405,7 +416,8 @@ def main() -> None:
     runs: list[tuple[str, int]] = [(kind, seed) for kind in kinds for seed in range(options.starts)]
     prefix = "processes, " if options.processes else ""
     if options.processes:
-        runs = [(options.kind or kinds[0], seed) for seed in range(options.processes)]
+        seeds = islice(filter(has_room, count()), options.processes)
+        runs = [(options.kind or kinds[0], seed) for seed in seeds]
     done = {(row["kind"], row["seed"]) for row in rows}
     for kind, seed in runs:
         if (prefix + kind, seed) in done:

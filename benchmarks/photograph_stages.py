@@ -19,7 +19,7 @@ import numpy as np
 from skyherd.bench.image_sets import ImageSet, load_image_sets
 from skyherd.jobs.helpers import one_thread
 from skyherd.vision import create_detector
-from skyherd.vision.photometric import look
+from skyherd.vision.photometric import detector as stages
 from skyherd.vision.photometric.fitting import fit
 
 Stages = Mapping[str, Sequence[tuple[Any, str]]]
@@ -27,8 +27,8 @@ Stages = Mapping[str, Sequence[tuple[Any, str]]]
 there."""
 
 STAGES: Stages = {
-    "first search": [(look, "find_quads")],
-    "second search": [(look, "find_overlooked_quads")],
+    "first search": [(stages, "find_quads")],
+    "second search": [(stages, "find_overlooked_quads"), (stages, "find_faint_quads")],
     "pixels": [(fit.PixelSamples, "read")],
 }
 """Stages that are timed separately."""

@@ -1,14 +1,14 @@
-"""What runs are made of: formation shapes, scenario files, and labelled image sets.
+"""Inputs of runs: formation shapes, scenario files, and labelled image sets.
 
-Four parts, of which this facade exports all that the rest of the package uses:
+This package exports the names that the rest of skyherd uses. It has four parts:
 
-- `configuration`: scenario files, checked key by key, and the `Mission` that a scenario becomes.
+- `configuration`: scenario files, checked key by key, and the `Mission` made from a scenario.
 - `shapes`: named formation shapes, and words written by robots.
 - `generated`: random missions for benchmarks and tests.
-- `labelled`: image sets with exact labels, made, read and checked.
+- `labelled`: image sets with exact labels: generation, reading and checks.
 
-Names of `generated`, and those of `labelled` that make and check sets, are loaded when they are first asked
-for: they need matplotlib and process pools, which a run does without.
+Names of `generated`, and those of `labelled` that make and check sets, are imported on first access. They
+need matplotlib and process pools, which a run does not need.
 """
 
 from importlib import import_module
@@ -95,10 +95,10 @@ else:
         "random_mission": "generated.random_missions",
         "star_mission": "generated.random_missions",
     }
-    """Modules of the names that are loaded when they are first asked for."""
+    """Modules of the names that are imported on first access."""
 
     def __getattr__(name: str) -> Any:
-        """A name of `_LOADED_LATER` (PEP 562)."""
+        """Import a name of `_LOADED_LATER` on first access (PEP 562)."""
         if name not in _LOADED_LATER:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         return getattr(import_module(f"{__name__}.{_LOADED_LATER[name]}"), name)

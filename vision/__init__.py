@@ -1,7 +1,7 @@
-"""From images to detections: the package's only entrance for the rest of skyherd.
+"""From images to detections: the public API of the package for the rest of skyherd.
 
-`create_detector` makes a detector by name, and `Detector` describes what all of them do. `explain` and
-`suggest` say why markers were not detected, and what to try.
+`create_detector` creates a detector by name, and `Detector` is the interface of all detectors. `explain`
+returns the reasons why markers were not detected, and `suggest` returns settings to try.
 """
 
 from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
@@ -20,8 +20,7 @@ from skyherd.vision.detectors.warm_up import warm_up
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
-from skyherd.vision.photometric.deferring import DeferringDetector
-from skyherd.vision.photometric.detector import PhotometricDetector
+from skyherd.vision.photometric.detector import DeferringDetector, PhotometricDetector
 
 __all__ = [
     "APRILTAG_FAMILIES",

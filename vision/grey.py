@@ -1,4 +1,4 @@
-"""The image type that every detector takes, its check, and how images are shrunk."""
+"""The image type of all detectors, its validation, and downsampling by an integer factor."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ __all__ = ["Image", "block_means", "check_grey"]
 
 
 def check_grey(image: Image) -> Image:
-    """Return the image as a contiguous array, without copying it if it is one already.
+    """Return the image as a contiguous array; copy it only if it is not contiguous.
 
     Raises:
         InputError: the image is not a two-dimensional array (height, width) of uint8, or it is empty.
@@ -23,10 +23,10 @@ def check_grey(image: Image) -> Image:
 
 
 def block_means(image: Image, side: int) -> Image:
-    """Return the image shrunk by `side`: means, rounded, over squares of `side` x `side` pixels.
+    """Return the image downsampled by `side`: rounded means over blocks of `side` x `side` pixels.
 
-    Lines and columns that make no whole square are left out. An image smaller than one square becomes one of
-    shape (0, 0).
+    Rows and columns beyond the last whole block are ignored. An image smaller than one block gives shape
+    (0, 0).
     """
     height, width = (length // side for length in image.shape)
     if min(height, width) == 0:

@@ -1,4 +1,4 @@
-"""Dataclasses whose fields are arrays with one row for each of N things, and operations on whole rows."""
+"""Structure of arrays: dataclasses whose fields have one row per element, with operations on whole rows."""
 
 from dataclasses import fields
 from typing import Any, Self
@@ -9,29 +9,29 @@ from skyherd.geometry import BoolArray, IntArray
 
 
 class RowRecord:
-    """Base of dataclasses in which every field has one row for each of N things.
+    """Base class of dataclasses in which every field has N rows.
 
     A field is an array whose first axis has length N, or another `RowRecord` of N rows. The operations below
-    select, replace and append rows of all fields together, so that the fields cannot get out of step.
+    select, replace and append the same rows in all fields, so that the fields stay consistent.
     """
 
     def take(self, rows: IntArray | BoolArray) -> Self:
         """Return the record of the given rows: indices (K,), in their order, or a mask (N,).
 
-        The record itself comes back, not a copy, if the mask selects every row.
+        If the mask selects every row, the result is the record itself, not a copy.
         """
         if rows.dtype == bool and rows.all():
             return self
         return type(self)(*(_taken(value, rows) for value in _values(self)))
 
     def put(self, rows: IntArray, others: Self) -> Self:
-        """Return a copy in which the rows at indices `rows` (K,) are those of `others`, which has K rows."""
+        """Return a copy in which the K rows of `others` replace the rows at indices `rows` (K,)."""
         return type(self)(
             *(_put(mine, rows, new) for mine, new in zip(_values(self), _values(others), strict=True))
         )
 
     def joined(self, others: Self) -> Self:
-        """Return a record with the rows of this one, followed by those of `others`."""
+        """Return a record with the rows of this record, followed by the rows of `others`."""
         return type(self)(*map(_joined, _values(self), _values(others)))
 
 

@@ -1,4 +1,4 @@
-"""A unit's state in the tree protocol, and its situation at one image: values that no rule changes."""
+"""State of a unit in the tree protocol, and its inputs at one image. All values are immutable."""
 
 from collections.abc import Mapping
 from collections.abc import Set as AbstractSet
@@ -14,8 +14,8 @@ from skyherd.control.tree.peer_reports import PeerReport, PeerReports
 from skyherd.messages import NO_ID, NO_SLOT
 from skyherd.messages.checks import check_numbers
 
-Share = Literal["leverage", "nearest"]
-"""How two neighbours choose the pair that they share."""
+PairRule = Literal["leverage", "nearest"]
+"""Rule by which two neighbours choose the pair that they share."""
 
 
 @dataclass(frozen=True)
@@ -23,23 +23,23 @@ class TreeSettings:
     """Settings of the protocol (control/tree/protocol.py).
 
     Attributes:
-        share: which pair two neighbours share: the one that makes their fits agree fastest (`leverage`,
-            control/topology/convergence_rate.py), or the two robots nearest to the image centre (`nearest`,
-            the paper's rule).
-        radius: robots are given and taken inside this distance from the image centre, in halves of the
-            image's shorter side.
-        hysteresis: a unit would rather lose a robot outside `radius (1 + hysteresis)`.
-        dwell_s: length of a slot; pairs are exchanged, and robots adopted or handed over, at the first image
+        share: rule that chooses the pair shared by two neighbours. `leverage` takes the pair with the fastest
+            agreement of their fits (control/topology/convergence_rate.py). `nearest` takes the two robots
+            nearest to the image centre (the paper's rule).
+        radius: distance from the image centre inside which robots change hands, in halves of the image's
+            shorter side.
+        hysteresis: a unit prefers to release a robot outside `radius (1 + hysteresis)`.
+        dwell_s: length of a slot. Pairs are exchanged, and robots adopted or handed over, at the first image
             of a slot.
-        gain: a new pair must be better than the present one by this factor, so that noise exchanges nothing.
-        firm: while an edge agrees at a lower rate than this (in units of the robots' gain k), its units fly
-            to see robots that would make a better pair.
-        silence_s: a unit from which nothing was received for so long counts as dead, and a robot that was not
-            seen for so long as missing.
-        patience_s: robots may move after this even if some unit or robot has not been found.
+        gain: factor by which a new pair must be better than the present one, so that noise has no effect.
+        firm: rate of agreement of an edge, in units of the robots' gain k, below which its units fly to see
+            robots that make a better pair.
+        silence_s: time without a message after which a unit counts as dead. Also the time without a sighting
+            after which a robot counts as missing.
+        patience_s: time after which robots may move even if a unit or a robot has not been found.
     """
 
-    share: Share = "leverage"
+    share: PairRule = "leverage"
     radius: float = 0.85
     hysteresis: float = 0.06
     dwell_s: float = 2.0
@@ -59,10 +59,10 @@ class TreeSettings:
 
 @dataclass(frozen=True)
 class Extent:
-    """How far the tree reaches, as one unit knows it.
+    """Size of the tree, as one unit knows it.
 
     Attributes:
-        outside: units that were heard of and belong to no tree.
+        outside: known units that belong to no tree.
         held: robots that some unit controls.
     """
 
@@ -72,11 +72,11 @@ class Extent:
 
 @dataclass(frozen=True)
 class HandOver:
-    """Where an own robot is to go (control/tree/hand_over.py).
+    """Destination of an own robot in a hand-over (control/tree/hand_over.py).
 
     Attributes:
-        to_id: the unit whose own it becomes.
-        slot: the slot with which it does; `NO_SLOT` before that unit has accepted it.
+        to_id: the unit that will own the robot.
+        slot: the slot at whose start ownership changes; `NO_SLOT` before that unit has accepted.
     """
 
     to_id: int
@@ -85,33 +85,33 @@ class HandOver:
 
 @dataclass(frozen=True)
 class NodeState:
-    """A unit's part in the protocol. Only `TreeProtocol` replaces it, by what its rules return.
+    """State of a unit in the protocol. Only `TreeProtocol` replaces it, by the results of its rules.
 
     Attributes:
         own: robots that only this unit controls.
-        edges: by neighbour.
-        tree_id: the tree that it belongs to, by the number of the founder, or `NO_ID`.
-        asks_id: the unit that it asks to admit it, or to found the tree, or `NO_ID`.
-        ask_turn: the turn at which it expects the edge that it asks for to begin.
+        edges: the unit's edges, by neighbour.
+        tree_id: the unit's tree, by the number of its founder, or `NO_ID`.
+        asks_id: the unit that it asks for admission, or to found the tree, or `NO_ID`.
+        ask_turn: the turn at which it expects the requested edge to begin.
         heir_id: the neighbour that takes over its robots and edges if it falls silent, or `NO_ID`.
-        ready: whether the tree is known to be complete, so that robots may move.
-        giving: own robots that are to become another unit's.
-        taking: robots that are to become its own: the unit that has each, and the slot with which it does.
-        accepted: robots that it would take of those that other units want to hand to it.
-        searches: whether the unit is to look around for what the tree lacks.
-        sought: robots to be got into view, besides those that it controls.
+        ready: True if the tree is known to be complete, so that robots may move.
+        giving: own robots that it hands over to other units.
+        taking: robots that are handed over to it: the unit that owns each, and the slot of the change.
+        accepted: robots that it accepts among those offered for hand-over.
+        searches: True if the unit has to search for units or robots that the tree lacks.
+        sought: robots to bring into view, besides those that it controls.
         imaged_s: time of its last image.
-        since_s: time of its first image, or of the first after a silence without any.
-        slot: number of the slot that its last image fell in.
-        seen_s: when it saw each robot last.
-        missed_since_s: since when it knows that a robot which it never saw is missing.
-        held_s: since when it has controlled each robot of its set.
-        orphaned_s: since when it has seen each robot that no member claims.
-        distances_before: what it saw in the last image as a member: robots' distances from the image centre.
-        minority_s: since when its part of a divided tree has been the smaller one; infinite if it is not.
-        extent: the tree's reach at the last image before the tree was complete.
-        grew_slot: slot in which the tree grew last.
-        stalled: whether the tree stopped growing for a slot before it was complete.
+        since_s: time of its first image, or of the first after a silence without images.
+        slot: number of the slot of its last image.
+        seen_s: time of the last sighting of each robot.
+        missed_since_s: time since which each robot that it has never seen is known to be missing.
+        held_s: time since which it has controlled each robot of its set.
+        orphaned_s: time since which it has seen each robot that no member claims.
+        distances_before: distances of the robots from the image centre in its last image as a member.
+        minority_s: time since which its part of a divided tree has been the smaller one, or infinity.
+        extent: size of the tree at the last image before the tree was complete.
+        grew_slot: slot of the last growth of the tree.
+        stalled: True if the tree stopped growing for a slot before it was complete.
     """
 
     own: Robots = NO_ROBOTS
@@ -141,20 +141,20 @@ class NodeState:
 
     @cached_property
     def controlled(self) -> Robots:
-        """S_j^c: the unit's own robots and the pairs of its edges."""
+        """The control set S_j^c: the unit's own robots and the pairs of its edges."""
         return self.own.union(*(edge.pair for edge in self.edges.values()))
 
     @property
     def is_member(self) -> bool:
-        """Whether the unit belongs to a tree."""
+        """True if the unit belongs to a tree."""
         return self.tree_id != NO_ID
 
-    def offered(self, but: int = NO_ID) -> Robots:
-        """Robots promised to neighbours, but for those promised to the unit `but`."""
-        return NO_ROBOTS.union(*(edge.offered for unit, edge in self.edges.items() if unit != but))
+    def offered(self, excluding: int = NO_ID) -> Robots:
+        """Return the robots promised to neighbours, except those promised to the unit `excluding`."""
+        return NO_ROBOTS.union(*(edge.offered for unit, edge in self.edges.items() if unit != excluding))
 
     def after(self, new: "NodeState") -> "NodeState":
-        """Return this state with the fields of `new` that differ; this very one if none does, as mostly."""
+        """Return this state with the differing fields of `new`, or this object itself if none differs."""
         if new is self:
             return self
         changed: dict[str, Any] = {}
@@ -165,7 +165,7 @@ class NodeState:
         return replace(self, **changed) if changed else self
 
     def unseen_s(self, robot: int, time_s: float) -> float:
-        """How long a robot has not been seen; counted from when it was first missed if it never was."""
+        """Return the time since a robot was last seen, s; if it was never seen, since it was first missed."""
         return time_s - self.seen_s.get(robot, self.missed_since_s.get(robot, time_s))
 
 
@@ -174,7 +174,7 @@ _FIELDS = tuple(field.name for field in fields(NodeState))
 
 
 def resigned(state: NodeState) -> NodeState:
-    """Return the state of a unit that leaves the tree to join it anew."""
+    """Return the state of a unit that leaves the tree in order to rejoin it."""
     return replace(
         state,
         own=NO_ROBOTS,
@@ -190,16 +190,16 @@ def resigned(state: NodeState) -> NodeState:
 
 @dataclass(frozen=True)
 class Situation:
-    """What a unit goes by at one image, besides its own state.
+    """Inputs of a unit's decisions at one image, besides its own state.
 
     Attributes:
-        settings: settings.
+        settings: settings of the protocol.
         shape: the whole template, under the robots' present roles.
         unit_id: the unit itself.
-        time_s: when the image was taken.
-        slot: number of the slot that the image falls in.
-        at_slot: whether it is the unit's first image in that slot.
-        distances: of the robots in the image from its centre, in half images.
+        time_s: time of the image.
+        slot: number of the slot of the image.
+        at_slot: True for the unit's first image in that slot.
+        distances: distances of the robots in the image from its centre, in half images.
         news: reports that arrived since the last image.
         peers: the newest report of each other unit.
     """
@@ -221,13 +221,13 @@ class Situation:
 
     @cached_property
     def living(self) -> tuple[PeerReport, ...]:
-        """The newest reports of the units that are not silent, in the order of the units."""
+        """Newest reports of the units that are not silent, in the order of the units."""
         newest = sorted(self.peers.newest.items())
         return tuple(peer for _, peer in newest if self.time_s - peer.time_s <= self.settings.silence_s)
 
     @cached_property
     def members(self) -> tuple[PeerReport, ...]:
-        """Those of them that belong to a tree."""
+        """Newest reports of the living units that belong to a tree."""
         return tuple(peer for peer in self.living if peer.is_member)
 
     @cached_property
@@ -237,20 +237,20 @@ class Situation:
 
     @cached_property
     def askers(self) -> frozenset[int]:
-        """Units that ask this one to be admitted, or to found the tree."""
+        """Units that ask this one for admission, or to found the tree."""
         outside = (peer for peer in self.living if not peer.is_member)
         return frozenset(peer.unit_id for peer in outside if peer.tree.asks_id == self.unit_id)
 
     def heard_s(self, unit: int) -> float:
-        """Time of the newest report of a unit; -inf if there is none."""
+        """Return the time of the newest report of a unit; -inf without a report."""
         peer = self.peers.newest.get(unit)
         return -np.inf if peer is None else peer.time_s
 
     def is_alive(self, unit: int) -> bool:
-        """Whether a unit has been heard of within a silence."""
+        """Return True if a unit's newest report is not older than the silence timeout."""
         return self.time_s - self.heard_s(unit) <= self.settings.silence_s
 
     def seen_by(self, unit: int) -> AbstractSet[int]:
-        """Robots that a unit last reported to see."""
+        """Return the robots that a unit last reported to see."""
         peer = self.peers.newest.get(unit)
         return NO_ROBOTS if peer is None else peer.distances.keys()

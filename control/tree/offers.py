@@ -37,8 +37,8 @@ def offerable(state: NodeState, context: Situation, neighbor: int) -> Robots:
     and two by two. None is left out and none gets a single robot, which makes no pair. Units without a pair
     have priority.
     """
-    free = undisputed(state, context).intersection(context.seen_by(neighbor)) - state.offered(but=neighbor)
-    free -= lost(state, context) | state.giving.keys()
+    free = undisputed(state, context).intersection(context.seen_by(neighbor))
+    free -= state.offered(excluding=neighbor) | lost(state, context) | state.giving.keys()
     newcomers = context.askers | {other for other, edge in state.edges.items() if not edge.pair}
     sharers = {other: context.seen_by(other) for other in sorted(newcomers | state.edges.keys() | {neighbor})}
     offers = set()

@@ -16,7 +16,7 @@ import numpy as np
 from skyherd.control.formation.template import Template
 from skyherd.control.topology.convergence_rate import pair_rates
 from skyherd.control.tree.edge import NO_ROBOTS, Robots
-from skyherd.control.tree.node_state import Share
+from skyherd.control.tree.node_state import PairRule
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import among
 
@@ -26,7 +26,7 @@ centre."""
 
 
 def choose_pair(
-    share: Share,
+    share: PairRule,
     template: Template,
     *,
     candidates: Robots,

@@ -1,11 +1,11 @@
-"""Scenario files: their keys, checked one by one, and the missions made of them.
+"""Scenario files: their keys, checked one by one, and the missions made from them.
 
-`models` holds a whole scenario as Pydantic models, its parts in `scene_models`, `unit_models` and
+`models` contains the Pydantic model of a scenario. Its parts are in `scene_models`, `unit_models` and
 `body_models`. Every key has a range and a description with its unit, which `skyherd scenario schema` prints.
-`mission` reads a scenario and completes it: template, start, obstacles.
+`mission` reads a scenario and completes it with template, start and obstacles.
 
-There is one way from a model to the thing that it describes: its method `make()` (`CameraModel.make`,
-`SensorModel.make`, `GroundModel.make`, `OccluderModel.make`), or `make_…()` where one model describes more
-than one thing (`SensorModel.make_shutter`, `Scenario.make_bodies`). What a model cannot know, such as a
-random generator or a picture that was read, is an argument of it.
+A model makes the object that it describes in its method `make()` (`CameraModel.make`, `SensorModel.make`,
+`GroundModel.make`, `OccluderModel.make`). A model that describes several objects has methods `make_…()`
+(`SensorModel.make_shutter`, `Scenario.make_bodies`). Random generators and pictures are arguments of these
+methods.
 """

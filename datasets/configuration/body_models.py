@@ -1,4 +1,4 @@
-"""Scenario keys `roles`, `size` and `avoidance`: who takes which place, how large, how far apart."""
+"""Scenario keys `roles`, `size` and `avoidance`: assignment, size of the shape, and collision avoidance."""
 
 from typing import Annotated, Self
 
@@ -10,7 +10,7 @@ from skyherd.errors import InputError
 
 
 class RolesModel(Model):
-    """Which robot takes which point of the template."""
+    """Assignment of the robots to the points of the template."""
 
     exchange: bool = Field(
         False,
@@ -31,7 +31,7 @@ class RolesModel(Model):
 
 
 class SizeModel(Model):
-    """How large the shape becomes; where nothing is given its size is free, as in the paper."""
+    """Size of the shape; without any of these keys it is free, as in the paper."""
 
     min_spacing_sides: NotNegative = Field(
         0.0, description="marker sides; least distance between two robots in the finished shape; 0 for none"
@@ -49,7 +49,7 @@ class SizeModel(Model):
 
 
 class AvoidanceModel(Model):
-    """How robots keep apart; their bodies have the radius `robots.body_radius_sides`."""
+    """Collision avoidance between robots, whose bodies have the radius `robots.body_radius_sides`."""
 
     on: bool = Field(
         False, description="whether units send each robot the bodies near it, for collision avoidance"

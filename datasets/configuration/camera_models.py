@@ -14,10 +14,10 @@ from skyherd.render import Camera, Distortion, Equidistant
 from skyherd.text import one_of
 
 LENS_VALUES = re.compile(r"^\w+\([^)]*\)")
-"""A lens with its coefficients, with which messages about it begin."""
+"""Pattern of a lens with its coefficients, at the start of error messages about it."""
 
 Coefficient = Annotated[FiniteFloat, Field(ge=-10, le=10)]
-"""A coefficient of a lens. The range is *chosen*: real lenses stay below 1."""
+"""Coefficient of a lens. The range is chosen: real lenses stay below 1."""
 
 
 class DistortionModel(Model):
@@ -33,7 +33,7 @@ class DistortionModel(Model):
 
 
 class CameraModel(Model):
-    """A camera: size of its image, intrinsics and lens. The controller gets the image's size alone."""
+    """Camera: image size, intrinsics and lens. The controller gets only the image size."""
 
     preset: str | None = Field(
         None, description=f"preset camera, whose values the other keys replace: {', '.join(CAMERAS)}"
@@ -105,22 +105,22 @@ class CameraModel(Model):
 
     @property
     def ideal(self) -> bool:
-        """Whether Property 1 can hold for it: square pixels, and a lens that does not bend straight lines."""
+        """True if Property 1 can hold: square pixels, and a lens that keeps lines straight."""
         return (self.aspect, self.skew) == (1.0, 0.0) and not self.make().distortion
 
     @property
     def focal_length_px(self) -> float:
-        """Focal length along u, px, from whichever of `focal_px` and `half_angle_deg` is given."""
+        """Focal length along u, px, from `focal_px` or `half_angle_deg`."""
         if self.focal_px is not None:
             return self.focal_px
         half_angle = float(np.radians(self.half_angle_deg or 0.0))
         return min(self.size_px) / 2 / (half_angle if self.lens == "equidistant" else np.tan(half_angle))
 
     def make(self, zoom: float = 1.0) -> Camera:
-        """Make the camera described, its focal length multiplied by a zoom.
+        """Make the camera, with its focal length multiplied by a zoom factor.
 
         Raises:
-            InputError: the lens makes no image of this size.
+            InputError: the lens has no valid image of this size.
         """
         return Camera(
             size_px=self.size_px,
@@ -138,7 +138,7 @@ class CameraModel(Model):
         return Distortion(**self.distortion.model_dump(), zoom_k1=self.zoom_k1)
 
     def lens_problem(self, zoom: float) -> InputError | None:
-        """Return why the lens makes no image at a zoom, with its key as the place; None if it makes one."""
+        """Return the error, at its key, of a lens without a valid image at a zoom; None if it is valid."""
         try:
             self.make(zoom)
         except InputError as error:

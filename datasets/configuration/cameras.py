@@ -1,4 +1,4 @@
-"""Test cameras by name, as a scenario's `camera.preset` has them: what can be bought, and what goes wrong.
+"""Test cameras by name, for a scenario's `camera.preset`: common products and common defects.
 
 Angles are half of the view across the image's shorter side.
 """
@@ -7,20 +7,20 @@ from collections.abc import Mapping
 from typing import Any
 
 CAMERAS: Mapping[str, Mapping[str, Any]] = {
-    # Wide-angle action camera: 110 degrees from corner to corner, barrel-shaped.
+    # Wide-angle action camera: 110 degrees from corner to corner, barrel distortion.
     "action": {
         "size_px": (960, 540),
         "half_angle_deg": 35.0,
         "distortion": {"k1": -0.26, "k2": 0.06},
     },
-    # Phone: a small wavy distortion, and a lens that is not quite centred.
+    # Phone: a small wavy distortion, and a slightly decentred lens.
     "phone": {
         "size_px": (800, 600),
         "half_angle_deg": 27.0,
         "principal_point_px": (408.0, 293.5),
         "distortion": {"k1": 0.08, "k2": -0.12, "p1": 0.001, "p2": -0.0015},
     },
-    # Machine-vision camera with a cheap lens screwed in aslant.
+    # Machine-vision camera with a cheap, obliquely mounted lens.
     "machine-vision": {
         "size_px": (720, 720),
         "half_angle_deg": 20.0,
@@ -28,17 +28,17 @@ CAMERAS: Mapping[str, Mapping[str, Any]] = {
     },
     # Fisheye: 120 degrees across the longer side.
     "fisheye": {"size_px": (800, 600), "half_angle_deg": 45.0, "lens": "equidistant"},
-    # Zoom lens: barrel-shaped at its wide end, cushion-shaped from a zoom of 1.4 on.
+    # Zoom lens: barrel distortion at its wide end, pincushion distortion from a zoom of 1.4 on.
     "zoom": {
         "size_px": (720, 576),
         "half_angle_deg": 28.0,
         "distortion": {"k1": -0.17},
         "zoom_k1": 0.34,
     },
-    # Oblong pixels, as of an image that was stretched.
+    # Non-square pixels, as of a stretched image.
     "oblong": {"size_px": (800, 600), "half_angle_deg": 30.0, "aspect": 640 / 480},
     "skewed": {"size_px": (800, 600), "half_angle_deg": 30.0, "skew": 0.08},
-    # The axis meets the image a fifth of its sides off its centre, as in a picture that was cropped.
+    # The axis meets the image a fifth of its sides off its centre, as in a cropped picture.
     "off-centre": {
         "size_px": (800, 600),
         "half_angle_deg": 30.0,
@@ -46,4 +46,4 @@ CAMERAS: Mapping[str, Mapping[str, Any]] = {
         "distortion": {"k1": -0.12, "k2": 0.02},
     },
 }
-"""Keys of `CameraModel` for each preset. *Chosen* to be like cameras of their kinds; none was calibrated."""
+"""Keys of `CameraModel` for each preset. Chosen to resemble cameras of their kinds; none was calibrated."""

@@ -1,6 +1,6 @@
-"""The kinds of TOML files that users write, told apart to name a file of the wrong kind as what it is.
+"""Kinds of TOML files that users write, and their recognition in order to name a file of the wrong kind.
 
-The top-level keys are written out, since most of the models lie in higher layers; a test compares them.
+The top-level keys are literals, because most of the models belong to higher layers. A test compares them.
 """
 
 import os
@@ -18,28 +18,28 @@ from skyherd.errors import InputError
 from skyherd.files.reading import is_regular, open_regular
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-"""First bytes of a recording. *Defined* by the MCAP format."""
+"""First bytes of a recording. Defined by the MCAP format."""
 
 RECORDING_SUFFIX = ".mcap"
-"""End of a recording's file name."""
+"""Suffix of a recording's file name."""
 
 MIN_KNOWN_SHARE = 0.8
-"""Share of a file's top-level keys that its kind has. *Chosen*: one mistyped key in five still passes."""
+"""Minimum share of a file's top-level keys that its kind has. Chosen: a mistyped key in five still passes."""
 
 MIN_REQUIRED_SHARE = 0.5
-"""Share of a kind's required keys that a file of the kind has. *Chosen*: half a file is recognized, too."""
+"""Minimum share of a kind's required keys that a file has. Chosen: it recognizes incomplete files, too."""
 
 
 @dataclass(frozen=True)
 class FileKind:
-    """A kind of file.
+    """Kind of file.
 
     Attributes:
-        name: what such a file is called.
-        package: package of the built-in ones.
-        example: command that shows a good one.
-        schema: command that shows what is allowed.
-        taken_by: verbs that take such a file.
+        name: noun phrase for such a file.
+        package: package of the built-in files.
+        example: command that shows a valid file.
+        schema: command that shows the allowed keys and values.
+        taken_by: verbs that accept such a file.
         required: its required top-level keys.
         optional: its other top-level keys.
     """
@@ -54,15 +54,15 @@ class FileKind:
 
     @property
     def noun(self) -> str:
-        """The first word of its name, which goes before the name of a built-in one."""
+        """First word of `name`, which precedes the name of a built-in file in messages."""
         return self.name.split()[0]
 
     def known_share(self, tree: dict[str, Any]) -> float:
-        """Share of a file's top-level keys that this kind has."""
+        """Return the share of a file's top-level keys that this kind has."""
         return len(tree.keys() & (self.required | self.optional)) / max(len(tree), 1)
 
     def required_share(self, tree: dict[str, Any]) -> float:
-        """Share of this kind's required keys that a file has."""
+        """Return the share of this kind's required keys that a file has."""
         return len(tree.keys() & self.required) / len(self.required)
 
 
@@ -119,13 +119,13 @@ KINDS = (SCENARIO, LAB, STUDY, DATASET)
 
 @dataclass(frozen=True)
 class TomlSource:
-    """A file as it is written, not yet checked.
+    """Content of a file before validation.
 
     Attributes:
         tree: dictionaries, lists and plain values.
-        where: what to call it in a problem.
-        folder: the folder to which files that it names are relative.
-        is_file: whether it is a file of the user's, not a built-in one.
+        where: name of the file in error messages.
+        folder: base folder of relative paths in the file.
+        is_file: True for a file of the user, False for a built-in file.
     """
 
     tree: dict[str, Any]
@@ -135,10 +135,10 @@ class TomlSource:
 
 
 def read_source(name_or_file: str, kind: FileKind) -> TomlSource:
-    """Read a built-in file or a TOML file, without checking more than its kind.
+    """Read a built-in file or a TOML file, and check only its kind.
 
     Raises:
-        InputError: there is none, it is no TOML, or it is of another kind.
+        InputError: the file does not exist, is not valid TOML, or is of another kind.
     """
     path = Path(name_or_file)
     is_file = path.suffix == ".toml" or is_regular(path)
@@ -154,7 +154,7 @@ def source_text(name: str, kind: FileKind) -> str:
     """Return the TOML text of a built-in file.
 
     Raises:
-        InputError: there is none of that name and kind; one of another kind is named as what it is.
+        InputError: no built-in file of this kind has that name. If another kind has it, the error says so.
     """
     if name not in built_in_names(kind.package):
         for other in KINDS:
@@ -164,15 +164,15 @@ def source_text(name: str, kind: FileKind) -> str:
 
 
 def refuse_other_kind(tree: dict[str, Any], where: str, wanted: FileKind | str) -> None:
-    """Refuse a file that is recognized as one of another kind.
+    """Raise an error if a file is recognized as one of another kind.
 
     Args:
         tree: the file's content.
-        where: what to call it.
-        wanted: the kind that is wanted, or what to call one that `KINDS` does not have.
+        where: name of the file in error messages.
+        wanted: the expected kind, or a noun phrase for one that is not in `KINDS`.
 
     Raises:
-        InputError: it is of another kind; the message names the verbs that take it.
+        InputError: the file is of another kind; the message names the verbs that accept it.
     """
     found = recognize(tree)
     if found is None or found is wanted:
@@ -184,21 +184,21 @@ def refuse_other_kind(tree: dict[str, Any], where: str, wanted: FileKind | str) 
 
 
 def recognize(tree: dict[str, Any]) -> FileKind | None:
-    """Return the kind of a file by its top-level keys; None if they are those of no kind."""
+    """Return the kind of a file, recognized by its top-level keys, or None."""
     best = max(KINDS, key=lambda kind: (kind.known_share(tree), kind.required_share(tree)))
     is_known = best.known_share(tree) >= MIN_KNOWN_SHARE and best.required_share(tree) >= MIN_REQUIRED_SHARE
     return best if is_known else None
 
 
 def refuse_configuration(path: Path, wanted: str) -> None:
-    """Refuse a TOML file or a recording where something else is wanted, and name the verbs that take it.
+    """Raise an error if a path is a recording or a configuration file, and name the verbs that accept it.
 
     Args:
-        path: what was given; a file that cannot be read, or is of no kind, passes.
-        wanted: what is wanted, as a noun.
+        path: the given path; an unreadable file, or one of unknown kind, passes.
+        wanted: noun for the expected input.
 
     Raises:
-        InputError: it is a scenario, a lab, a study, a dataset spec or a recording.
+        InputError: it is a scenario, a lab, a study, a dataset spec, a recording or the folder of a run.
     """
     _refuse_recording(path, wanted)
     if path.suffix != ".toml" or not is_regular(path):
@@ -212,7 +212,7 @@ def refuse_configuration(path: Path, wanted: str) -> None:
 
 
 def is_recording(path: Path) -> bool:
-    """Whether a file is a recording: by its first bytes, or by its name if it cannot be read."""
+    """Return True if a file is a recording, by its first bytes or its suffix."""
     if not is_regular(path):
         return path.suffix == RECORDING_SUFFIX
     try:

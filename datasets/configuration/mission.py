@@ -1,4 +1,4 @@
-"""Scenarios are read from TOML, checked, and completed into missions: with a template and a start."""
+"""Scenarios: reading from TOML, validation, and completion into missions with a template and a start."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -28,27 +28,27 @@ from skyherd.random_streams import RunStream, generator
 from skyherd.vision import check_detector_name, load_accuracy
 
 SAME_POINT = 1e-9
-"""Two points of a template count as one within this share of its extent. *Chosen*: far above rounding, and
-far below any spacing that robots could keep."""
+"""Distance below which two points of a template coincide, as a share of its extent. Chosen: far above
+rounding, and far below any spacing that robots could keep."""
 
 
 def scenario_names() -> list[str]:
-    """Names of the built-in scenarios, in alphabetical order."""
+    """Return the names of the built-in scenarios, in alphabetical order."""
     return built_in_names(SCENARIO.package)
 
 
 def scenario_text(name: str) -> str:
-    """TOML text of a built-in scenario.
+    """Return the TOML text of a built-in scenario.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: no built-in scenario has that name.
     """
     return source_text(name, SCENARIO)
 
 
 @dataclass(frozen=True)
 class Mission:
-    """A checked scenario, completed: the template, and where the team starts.
+    """Validated scenario with its template and the start of the team.
 
     Attributes:
         scenario: the scenario as given.
@@ -56,8 +56,8 @@ class Mission:
         ids: (N,) markers of the robots, ascending.
         positions_m: (N, 2) start positions on the ground, in the order of `ids`.
         headings_rad: (N,) start headings, counter-clockwise from +x.
-        ground_image: grey picture (height, width) on the ground, if it has one.
-        later: time, s, and shape of each shape that comes after the first.
+        ground_image: grey picture (height, width) on the ground, or None.
+        later: start time, s, and template of each shape after the first.
     """
 
     scenario: Scenario
@@ -70,17 +70,17 @@ class Mission:
 
     @cached_property
     def schedule(self) -> Schedule:
-        """The shapes to form, each with the time at which it begins."""
+        """The shapes to form, each with its start time."""
         return Schedule(self.template, self.later)
 
     def shape_at(self, time_s: float, roles: IntArray) -> Template:
-        """The shape to form at a time, s, its points in the order that roles (N,) give to the robots."""
+        """Return the shape to form at a time, s; its points are in the order of the roles (N,)."""
         shape = self.schedule.at(time_s)
         return Template(shape.ids, shape.points_px[roles])
 
     @cached_property
     def bodies(self) -> Bodies:
-        """The round bodies of robots and obstacles."""
+        """Round bodies of robots and obstacles."""
         return self.scenario.make_bodies()
 
     @cached_property
@@ -95,7 +95,7 @@ class Mission:
 
     @property
     def obstacle_positions_m(self) -> Array:
-        """Middles (K, 2) of the obstacles on the ground, m, in the order of their ids."""
+        """Centres (K, 2) of the obstacles on the ground, m, in the order of their ids."""
         return self.bodies.obstacles_m
 
     @property
@@ -106,12 +106,12 @@ class Mission:
 
 @dataclass(frozen=True)
 class ScenarioSource:
-    """A scenario as it is written, not yet checked.
+    """Content of a scenario before validation.
 
     Attributes:
         tree: dictionaries, lists and plain values, as in the TOML text.
-        where: what to call it in a complaint.
-        folder: the folder to which its pictures' names are relative.
+        where: name of the scenario in error messages.
+        folder: base folder of relative paths of pictures.
     """
 
     tree: dict[str, Any]
@@ -120,25 +120,25 @@ class ScenarioSource:
 
 
 def read_scenario(name_or_file: str) -> ScenarioSource:
-    """Read a built-in scenario or a TOML file, without checking what it says.
+    """Read a built-in scenario or a TOML file without validation.
 
     Raises:
-        InputError: there is no such scenario or file, it is no TOML, or it is a file of another kind.
+        InputError: the scenario or file does not exist, is not valid TOML, or is a file of another kind.
     """
     source = read_source(name_or_file, SCENARIO)
     return ScenarioSource(source.tree, source.where, source.folder)
 
 
 def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int | None = None) -> Mission:
-    """Read, check and complete a built-in scenario or a TOML file.
+    """Read, validate and complete a built-in scenario or a TOML file.
 
     Args:
         name_or_file: name of a built-in scenario, or a TOML file.
-        settings: `key=value` texts put over it, such as `units.*.height_m=9`.
-        seed: put over the scenario's.
+        settings: `key=value` texts that replace values of the file, such as `units.*.height_m=9`.
+        seed: replaces the scenario's seed.
 
     Raises:
-        InputError: a line for each problem: the file or the option, the key, the value, and what is allowed.
+        InputError: one line per problem: the file or the option, the key, the value, and the allowed values.
     """
     check_kind("load_mission: name_or_file", name_or_file, (str, Path), "a scenario's name or file")
     source = read_scenario(name_or_file)
@@ -156,16 +156,16 @@ def make_mission(
     folder: Path | None = None,
     origins: Mapping[str, str] | None = None,
 ) -> Mission:
-    """Check and complete a scenario given as a tree of plain values.
+    """Validate and complete a scenario given as a tree of plain values.
 
     Args:
         tree: dictionaries, lists and plain values, as in a TOML file.
-        where: what to call it in a complaint.
-        folder: the folder to which its pictures' names are relative; the working folder if None.
-        origins: options that gave values, by dotted key, to name them as the places of problems.
+        where: name of the scenario in error messages.
+        folder: base folder of relative paths of pictures; the working folder if None.
+        origins: command-line options that set values, by dotted key; error messages name them.
 
     Raises:
-        InputError: a line for each problem: the key, the value, and what is allowed.
+        InputError: one line per problem: the key, the value, and the allowed values.
     """
     scenario = check_tree(Scenario, tree, where, see=SCENARIO.schema, origins=origins)
     try:
@@ -211,7 +211,7 @@ def _complete(scenario: Scenario, folder: Path) -> Mission:
 
 
 class _Team(NamedTuple):
-    """Shapes and starts of a team, robots in the order of the scenario."""
+    """Shapes and start of a team, robots in the order of the scenario."""
 
     template: Template
     later: list[tuple[float, Template]]
@@ -221,7 +221,7 @@ class _Team(NamedTuple):
 
 
 def _team(scenario: Scenario, folder: Path, rng: np.random.Generator) -> _Team:
-    """Return the team of a scenario; problems that do not follow from each other are reported together."""
+    """Return the team of a scenario, or report all independent problems together."""
     dictionary = scenario.marker.dictionary
     limit = dictionary_size(dictionary)
     template = _template(scenario.template, scenario.robots, dictionary, folder)
@@ -284,7 +284,7 @@ def _template(
 
 
 def _named_shape(name: str, count: int, where: str) -> Array:
-    """Return the points of a named shape; problems name the key of the shape that is meant."""
+    """Return the points of a named shape; errors name the key of the given shape."""
     try:
         return shape_points(name, count)
     except InputError as error:

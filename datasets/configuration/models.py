@@ -1,4 +1,4 @@
-"""The scenario file, key by key: what each means, its unit, and what is allowed."""
+"""Keys of the scenario file, with their meaning, unit and allowed values."""
 
 from collections.abc import Iterator
 from typing import Annotated, Literal, Self
@@ -27,12 +27,12 @@ from skyherd.errors import InputError, join_errors
 from skyherd.text import one_of
 
 RATE_ROUNDING = 1e-9
-"""By how much images a time step may exceed 1. *Chosen*: rounding of `frame_rate_hz * step_s`, such as 10
-times 0.1."""
+"""Tolerance of the number of images per time step above 1. Chosen: rounding of `frame_rate_hz * step_s`,
+such as 10 times 0.1."""
 
 
 class ShapeModel(Model):
-    """A shape to form: exactly one of `points`, `shape` and `image`."""
+    """Shape to form: exactly one of `points`, `shape` and `image`."""
 
     points: list[Point] | None = Field(
         None, max_length=MAX_ROBOTS, description="a point (x right, y up) for each robot, in any unit"
@@ -54,13 +54,13 @@ class ShapeModel(Model):
 
 
 class LaterModel(ShapeModel):
-    """A shape that takes the place of another."""
+    """Shape that replaces the previous one."""
 
     at_s: Positive = Field(description="s; time at which it replaces the previous shape")
 
 
 class TemplateModel(ShapeModel):
-    """The shape to form, and those that come after it."""
+    """The shape to form, and later shapes."""
 
     then: list[LaterModel] = Field([], max_length=100, description="later shapes, their times ascending")
 
@@ -75,10 +75,10 @@ METHODS = (
     "bearings-with-ranges",
     "distances",
 )
-"""Laws that move the robots: skyherd's, and those from the literature (`skyherd.sim.baseline_laws`)."""
+"""Control laws of the robots: skyherd's, and those from the literature (`skyherd.sim.baseline_laws`)."""
 
 OWN_METHOD = ":"
-"""What a name of a law has in it that is given as `module:factory`."""
+"""Separator in the name of a user-defined law, `module:factory`."""
 
 
 def _check_method(method: str) -> str:
@@ -88,7 +88,7 @@ def _check_method(method: str) -> str:
 
 
 class ControlModel(Model):
-    """The law that moves the robots, and its gains."""
+    """Control law of the robots, and its gains."""
 
     method: Annotated[str, AfterValidator(_check_method)] = Field(
         "similarity",
@@ -123,7 +123,7 @@ class ControlModel(Model):
 
 
 class SelectionModel(Model):
-    """Which robots a unit controls: all inside its safety radius, or by agreement along a tree of units."""
+    """Robots that a unit controls: all inside its safety radius, or by agreement along a tree of units."""
 
     kind: Literal["radius", "tree", "radius-then-tree"] = Field(
         "radius",
@@ -154,7 +154,7 @@ class SelectionModel(Model):
 
 
 class AutopilotModel(Model):
-    """Limits that the units' autopilots keep."""
+    """Limits enforced by the units' autopilots."""
 
     min_height_m: Height = Field(3.0, description="m; least height")
     max_height_m: Height = Field(100.0, description="m; greatest height")
@@ -171,7 +171,7 @@ class AutopilotModel(Model):
 
 
 class NetworkModel(Model):
-    """What goes wrong with images and messages, drawn from the seed."""
+    """Losses and delays of images and messages, drawn from the seed."""
 
     frame_loss: Fraction = Field(0.0, description="share of images that are lost")
     message_loss: Fraction = Field(
@@ -194,7 +194,7 @@ class NetworkModel(Model):
 
 
 class GoalModel(Model):
-    """When a run counts as converged: the shape is reached, and kept to the end."""
+    """Criterion of convergence: the shape error stays below a limit until the end of the run."""
 
     shape_error: Positive = Field(
         0.01,
@@ -206,11 +206,11 @@ class GoalModel(Model):
 
 
 class Scenario(Model):
-    """A scenario file: all that a run follows from."""
+    """Scenario file: all inputs of a run."""
 
     @property
     def clocks_differ(self) -> bool:
-        """Whether any unit or robot has a clock of its own."""
+        """True if a unit or a robot has a clock with an offset or a drift."""
         off = ((unit.clock_offset_s, unit.clock_drift_ppm) for unit in self.units)
         return any(map(any, off)) or bool(self.robots.clock_offset_s or self.robots.clock_drift_ppm)
 
@@ -281,7 +281,7 @@ class Scenario(Model):
 
     @model_validator(mode="after")
     def _fit_for_baseline(self) -> Self:
-        """Laws from the literature have one shape, fixed places in it, and robots that are points."""
+        """Reject role exchange, avoidance, later shapes and pixel gains with a law from the literature."""
         parts = {
             "roles.exchange": self.roles.exchange,
             "avoidance.on": self.avoidance.on,

@@ -1,7 +1,7 @@
-"""Checks the obstacles of a scenario.
+"""Checks of the obstacles of a scenario.
 
-Obstacles are round bodies with markers that never move. They are rendered and detected like robots, and stand
-in no template: this is how the controller distinguishes them from robots.
+Obstacles are static round bodies with markers. They are rendered and detected like robots, but have no point
+in the template. This is how the controller distinguishes them from robots.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,11 +16,11 @@ from skyherd.geometry import IntArray
 def check_obstacles(
     obstacles: Sequence[ObstacleModel], robot_ids: IntArray, limit: int, marker: MarkerModel
 ) -> None:
-    """Check that each obstacle has a marker of its own, and that none covers another.
+    """Check that each obstacle has its own marker, and that no marker covers another.
 
     Raises:
-        InputError: an id is a robot's, another obstacle's, or not below `limit`; or two obstacles are nearer
-            to each other than a marker side.
+        InputError: an id is that of a robot or of another obstacle, or not below `limit`; or the distance of
+            two obstacles is less than a marker side.
     """
     check_obstacle_ids(obstacles, robot_ids.tolist(), limit, marker.dictionary, "marker.dictionary")
     for number, obstacle in enumerate(obstacles):
@@ -39,17 +39,17 @@ def check_obstacle_ids(
     dictionary: str,
     dictionary_key: str,
 ) -> None:
-    """Check that each obstacle has a marker of its own.
+    """Check that each obstacle has its own marker.
 
     Args:
-        obstacles: as the file lists them.
+        obstacles: the obstacles in the order of the file.
         robot_ids: markers of the robots.
         limit: number of markers in the dictionary.
-        dictionary: its name.
-        dictionary_key: key of the file that names it.
+        dictionary: name of the dictionary.
+        dictionary_key: key of the file that names the dictionary.
 
     Raises:
-        InputError: an id is a robot's, another obstacle's, or not below `limit`.
+        InputError: an id is that of a robot or of another obstacle, or not below `limit`.
     """
     taken = {int(robot): f"robot {robot}" for robot in robot_ids}
     for number, obstacle in enumerate(obstacles):

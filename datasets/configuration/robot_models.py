@@ -1,4 +1,4 @@
-"""Scenario keys of what moves and stands on the ground: robots, their wheels and markers, obstacles."""
+"""Scenario keys of objects on the ground: robots, their wheels and markers, and obstacles."""
 
 from typing import Annotated
 
@@ -19,7 +19,7 @@ from skyherd.datasets.configuration.fields import (
 )
 
 MarkerId = Annotated[int, Field(ge=0, lt=2**31)]
-"""Number of a marker in its dictionary, whose size is checked when the scenario is complete."""
+"""Number of a marker in its dictionary. The completed scenario is checked against the dictionary's size."""
 
 
 class ScatterModel(Model):
@@ -35,7 +35,7 @@ class ScatterModel(Model):
 
 
 class WheelsModel(Model):
-    """The errors of the robots' wheels, and how fast they brake; each part is off at 0."""
+    """Wheel errors and acceleration limit of the robots; errors are off at 0."""
 
     max_accel_mps2: Positive | None = Field(
         None, description="m/s²; limit on the change of the speed v; none if left out"
@@ -56,12 +56,12 @@ class WheelsModel(Model):
 
     @property
     def has_wheels(self) -> bool:
-        """Whether any part acts on single wheels: steps, dead zone or gains."""
+        """True if a setting acts on single wheels: steps, dead zone or gains."""
         return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
 
 
 class DriveModel(WheelsModel):
-    """What the robots' wheels make of a command; each part is off at 0, limits if left out."""
+    """Response of the robots' drives to commands; errors and delays are off at 0."""
 
     max_turn_accel_radps2: Positive | None = Field(
         None, description="rad/s²; limit on the change of the turn rate omega; none if left out"
@@ -75,7 +75,7 @@ class DriveModel(WheelsModel):
 
 
 class RobotsModel(Model):
-    """The ground robots: where they start, and what they can do."""
+    """The ground robots: their start and their limits."""
 
     positions_m: list[Point] | None = Field(
         None,
@@ -124,14 +124,14 @@ class MarkerModel(Model):
 
 
 class ObstacleMarkerModel(Model):
-    """A round obstacle, with a marker like a robot's at its middle."""
+    """Marker of a round obstacle, at the centre of the obstacle."""
 
     id: MarkerId = Field(description="its marker, which no robot has")
     radius_sides: Positive = Field(1.0, description="marker sides; radius of its body")
 
 
 class ObstacleModel(ObstacleMarkerModel):
-    """Something round that stands still, with a marker like a robot's at its middle."""
+    """Static round body with a marker at its centre."""
 
     position_m: Point = Field(description="m; its place (x, y) on the ground")
     heading_deg: Angle = Field(0.0, description="deg; heading of its marker, counter-clockwise from +x")

@@ -1,4 +1,4 @@
-"""Scenario keys that say how images come about: sensor, ground, and what covers markers."""
+"""Scenario keys of image formation: sensor, ground, and occluders of markers."""
 
 from typing import Annotated, Literal, Self
 
@@ -31,37 +31,37 @@ from skyherd.render import (
 )
 
 Grey = Annotated[FiniteFloat, Field(ge=0, le=255)]
-"""A grey level of 8 bits."""
+"""Grey level of 8 bits."""
 
 PERIODS_M = {"concrete": 40.0, "tiles": 0.5, "image": 10.0}
-"""What `tile_m` is for each kind of ground where it is left out, m: the period of concrete, the side of a
-tile, the width of a picture. *Chosen*: 2 cm a sample of concrete, and tiles and pictures of usual sizes."""
+"""Default of `tile_m` by kind of ground, m: the period of concrete, the side of a tile, the width of a
+picture. Chosen: 2 cm per sample of concrete, and usual sizes of tiles and pictures."""
 
 
 BlurLength = Annotated[FiniteFloat, Field(ge=0, le=20)]
-"""A length of lens blur, px. *Chosen*: wider than any marker is legible through."""
+"""Length of lens blur, px. Chosen: no marker is legible at the maximum."""
 
 Aperture = Annotated[FiniteFloat, Field(ge=0, le=10)]
-"""Diameter of a lens's opening, m. *Chosen*: that of the largest telescopes at most."""
+"""Diameter of a lens aperture, m. Chosen: at most that of the largest telescopes."""
 
 BalanceGain = Annotated[FiniteFloat, Field(ge=1, le=4)]
-"""Factor of white balance on red or blue pixels, as `skyherd.render.Mosaic` takes it."""
+"""White-balance gain of red or blue pixels, for `skyherd.render.Mosaic`."""
 
 Gamma = Annotated[FiniteFloat, Field(ge=0.2, le=5)]
-"""Gamma of a tone curve, as `skyherd.render.Processing` takes it."""
+"""Gamma of a tone curve, for `skyherd.render.Processing`."""
 
 Sharpening = Annotated[FiniteFloat, Field(ge=0, le=5)]
-"""Amount of an unsharp mask, as `skyherd.render.Processing` takes it."""
+"""Amount of an unsharp mask, for `skyherd.render.Processing`."""
 
 SharpeningRadius = Annotated[FiniteFloat, Field(ge=0.3, le=10)]
-"""Standard deviation of an unsharp mask's blur, px, as `skyherd.render.Processing` takes it."""
+"""Standard deviation of an unsharp mask's blur, px, for `skyherd.render.Processing`."""
 
 ConstantRateFactor = Annotated[int, Field(ge=0, le=51)]
-"""Constant rate factor of x264, which has no others."""
+"""Constant rate factor of x264. Defined by x264."""
 
 
 class LensBlurModel(Model):
-    """Blur of the lens that is no Gaussian, beside `psf_px`; each part is off at 0."""
+    """Non-Gaussian blur of the lens, in addition to `psf_px`; each part is off at 0."""
 
     disc_px: BlurLength = Field(0.0, description="px; radius of the disc that each point is seen as")
     coma_px: BlurLength = Field(0.0, description="px; length C of the coma, whose tail is 3 C long")
@@ -74,7 +74,7 @@ class LensBlurModel(Model):
     focus_m: Positive = Field(10.0, description="m; distance along the optical axis that is in focus")
 
     def make(self) -> LensBlur:
-        """Make the lens blur described."""
+        """Make the lens blur."""
         return LensBlur(
             disc_px=self.disc_px,
             coma_px=self.coma_px,
@@ -85,7 +85,7 @@ class LensBlurModel(Model):
 
 
 class ProcessingModel(Model):
-    """What a consumer camera does to an image after its sensor; each part is off unless it is set."""
+    """Image processing of a consumer camera after its sensor; each step is off by default."""
 
     demosaic: Literal["none", "bilinear", "edge-aware"] = Field(
         "none", description="a mosaic of colour filters after Bayer, and how colours between are interpolated"
@@ -108,7 +108,7 @@ class ProcessingModel(Model):
     )
 
     def make(self) -> Processing:
-        """Make the processing described."""
+        """Make the processing."""
         return Processing(
             mosaic=Mosaic(self.demosaic, self.red_gain, self.blue_gain),
             **self.model_dump(exclude={"demosaic", "red_gain", "blue_gain"}),
@@ -116,7 +116,7 @@ class ProcessingModel(Model):
 
 
 class SensorModel(Model):
-    """What the sensor does to images; each part is off at 0, gain at 1, jpeg_quality if left out."""
+    """Effects of the sensor on images: each is off at 0, `gain` at 1, `jpeg_quality` at None."""
 
     noise: Grey = Field(
         2.0, description="grey levels; standard deviation of the noise that does not depend on light"
@@ -160,9 +160,9 @@ class SensorModel(Model):
     processing: ProcessingModel = Field(ProcessingModel(), description="image processing in the camera")
 
     def make(self, rng: np.random.Generator) -> Sensor:
-        """Make the sensor described, its noise drawn from `rng`.
+        """Make the sensor; it draws its noise from `rng`.
 
-        `psf_px`, `lens_blur` and the shutter are no part of it: the renderer takes these.
+        The renderer takes `psf_px`, `lens_blur` and the shutter separately.
         """
         return Sensor(
             noise=self.noise,
@@ -175,7 +175,7 @@ class SensorModel(Model):
         )
 
     def make_illumination(self) -> Illumination:
-        """Make the part of the sensor's law that says how much light arrives where in the image."""
+        """Make the illumination: the relative light by place in the image."""
         return Illumination(
             vignetting=self.vignetting,
             gradient=self.gradient,
@@ -187,12 +187,12 @@ class SensorModel(Model):
         )
 
     def make_shutter(self) -> Shutter:
-        """Make the shutter: when each row gathers light."""
+        """Make the shutter: the exposure interval of each row."""
         return Shutter(exposure_s=self.exposure_s, row_time_s=self.row_time_s)
 
 
 class GroundModel(Model):
-    """The textured ground, and clutter on it: dark quadrilaterals that are no markers."""
+    """Textured ground with clutter: dark quadrilaterals that are not markers."""
 
     kind: Literal["plain", "concrete", "tiles", "image"] = Field(
         "concrete",
@@ -232,16 +232,17 @@ class GroundModel(Model):
 
     @property
     def period_m(self) -> float:
-        """`tile_m`, or what the kind has where it is left out, m."""
+        """`tile_m`, or the default of the kind, m."""
         return self.tile_m or PERIODS_M.get(self.kind, PERIODS_M["concrete"])
 
     def make(self, seed: int, *, psf_px: float, image: npt.NDArray[np.uint8] | None = None) -> Ground:
-        """Make the ground described, with its clutter.
+        """Make the ground, with its clutter.
 
         Args:
-            seed: of texture and clutter.
-            psf_px: standard deviation of the lens's blur; with the pixel's it limits the texture's bandwidth.
-            image: grey picture (height, width), read from the file `image`, for the kind `image`.
+            seed: seed of texture and clutter.
+            psf_px: standard deviation of the lens's blur. Together with that of the pixel, it limits the
+                texture's bandwidth.
+            image: grey picture (height, width) from the file `image`, for the kind `image`.
         """
         clutter = None
         if self.clutter_per_m2:
@@ -264,7 +265,7 @@ class GroundModel(Model):
 
 
 class OccluderModel(Model):
-    """Something opaque and flat that lies over markers: a disc, or a convex quadrilateral."""
+    """Opaque flat shape over markers: a disc, or a convex quadrilateral."""
 
     center_m: Point | None = Field(None, description="m; middle of a disc on the ground")
     radius_m: Positive | None = Field(None, description="m; radius of a disc")
@@ -290,7 +291,7 @@ class OccluderModel(Model):
         return self
 
     def make(self) -> Disc | Quad:
-        """Make the disc or quadrilateral described."""
+        """Make the disc or quadrilateral."""
         if self.center_m is not None and self.radius_m is not None:
             return Disc(self.center_m, self.radius_m, self.level)
         return Quad(np.array(self.corners_m), self.level)

@@ -1,4 +1,4 @@
-"""Where a team starts: as given, or scattered at random with room for every body."""
+"""Start of a team: as given, or scattered at random with room for every body."""
 
 import numpy as np
 
@@ -10,19 +10,20 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray
 
 SCATTER_TRIES = 2000
-"""Random places tried for each robot before a start is refused. *Chosen*: takes a fraction of a second, and
-leaves out only starts with almost no room."""
+"""Number of random positions tried for each robot. Chosen: takes a fraction of a second, and fails only for
+starts with almost no room."""
 
 ROUNDING_M = 1e-9
-"""Bodies that overlap by less only touch, m. *Chosen*: far above the rounding of coordinates, 1e-13 m, and
+"""Overlap below which two bodies only touch, m. Chosen: far above the rounding of coordinates, 1e-13 m, and
 far below any body."""
 
 
 def start_positions(scenario: Scenario, ids: IntArray, template: Template, rng: np.random.Generator) -> Array:
-    """Start positions (N, 2), m, of the robots `ids` (N,), in their order.
+    """Return the start positions (N, 2), m, of the robots `ids` (N,), in their order.
 
     Raises:
-        InputError: there is not exactly one start, or two bodies would overlap in it.
+        InputError: the file does not give exactly one start, two bodies overlap in it, or a random start has
+            no room.
     """
     robots, bodies = scenario.robots, scenario.make_bodies()
     if (robots.positions_m is None) == (robots.scatter is None):
@@ -41,10 +42,10 @@ def start_positions(scenario: Scenario, ids: IntArray, template: Template, rng: 
 
 
 def start_headings(robots: RobotsModel, count: int, rng: np.random.Generator) -> Array:
-    """Headings (N,) at the start, rad, counter-clockwise from +x; random where none are given.
+    """Return the headings (N,) at the start, rad, counter-clockwise from +x; random by default.
 
     Raises:
-        InputError: not as many headings as robots.
+        InputError: the number of headings differs from the number of robots.
     """
     if robots.headings_deg is None:
         return rng.uniform(-np.pi, np.pi, size=count)
@@ -56,7 +57,7 @@ def start_headings(robots: RobotsModel, count: int, rng: np.random.Generator) ->
 
 
 def coincident(points: Array, distance: float) -> tuple[int, int] | None:
-    """Indices of the first two points (N, 2) within a distance of each other; None if there are none."""
+    """Return the indices of the first two points (N, 2) within a distance of each other, or None."""
     distances = np.linalg.norm(points[:, None] - points[None], axis=2)
     first, second = np.nonzero(np.triu(distances <= distance, 1))
     return (int(first[0]), int(second[0])) if first.size else None
@@ -82,7 +83,7 @@ def _check_room(scenario: Scenario, bodies: Bodies, ids: IntArray, positions: Ar
 
 
 def _scatter(model: ScatterModel, points: np.ndarray, bodies: Bodies, rng: np.random.Generator) -> Array:
-    """Random places, one after the other, each kept if it leaves room to those before and to obstacles."""
+    """Draw positions one by one; keep each that has room between earlier ones and obstacles."""
     turned = (points - points.mean()) * model.scale_m * np.exp(1j * np.radians(model.rotation_deg))
     home = np.column_stack([turned.real, turned.imag]) + model.center_m
     spacing_m, clear_m = max(model.spacing_m, 2 * bodies.radius_m), bodies.radius_m + bodies.obstacle_radii_m

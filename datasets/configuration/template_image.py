@@ -1,4 +1,4 @@
-"""Reads a template from a picture: the shape is where its markers are."""
+"""Template from a picture: the shape is given by the markers in it."""
 
 from pathlib import Path
 
@@ -8,15 +8,15 @@ from skyherd.files.images import read_grey
 from skyherd.vision import create_detector, explain_mirrored
 
 MAX_PIXELS = 50_000_000
-"""Pixels of the largest picture that a template is read from. *Chosen*: larger than usual cameras'; the
-markers are looked for when the scenario is checked, which should take seconds."""
+"""Maximum number of pixels of a template picture. Chosen: above usual cameras; detection of the markers,
+which runs during validation, should take seconds."""
 
 
 def read_template_image(path: Path, dictionary: str) -> Template:
-    """Read a template from a picture file: a point for each marker found, at its centre.
+    """Read a template from a picture file: a point at the centre of each detected marker.
 
     Raises:
-        InputError: the file cannot be read, or fewer than two markers are found in it.
+        InputError: the file is unreadable or mirrored, or has fewer than two detected markers.
     """
     grey = read_grey(path, max_pixels=MAX_PIXELS)
     found = create_detector(dictionary=dictionary).detect(grey)

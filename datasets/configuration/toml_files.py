@@ -1,4 +1,4 @@
-"""TOML files that users write: read from a file or built in, and refused in one line where they are wrong."""
+"""TOML files of users: reading from a file or a package, parsing, and changes of single keys."""
 
 import os
 import re
@@ -16,11 +16,11 @@ from skyherd.messages.checks import check_kind, check_texts
 from skyherd.text import did_you_mean
 
 MAX_BYTES = 2**18
-"""Size of the largest TOML file that is read. *Chosen*: places of a thousand robots, each with its own line,
-take a fifth of it; it is parsed in about a second."""
+"""Maximum size of a TOML file, bytes. Chosen: positions of a thousand robots, one per line, take a fifth of
+it; it is parsed in about a second."""
 
 MAX_LEVELS = 32
-"""Levels of tables and lists in a TOML file. *Chosen*: scenarios have six."""
+"""Maximum depth of tables and lists in a TOML file. Chosen: scenarios have six levels."""
 
 _STRINGS = re.compile(
     r"\"{3}(?:\\.|[^\\])*?\"{3}|'{3}.*?'{3}|\"(?:\\.|[^\"\\\n])*\"|'[^'\n]*'|#[^\n]*", re.DOTALL
@@ -29,7 +29,7 @@ _BRACKETS, _BETWEEN_KEYS = re.compile(r"[\[\]{}]"), re.compile(r"[^\w.-]+")
 
 
 def built_in_names(package: str) -> list[str]:
-    """Names of the TOML files in a package, without their suffix, in alphabetical order."""
+    """Return the names of the TOML files in a package, without suffix, in alphabetical order."""
     check_kind("built_in_names: package", package, str, "a name")
     return sorted(
         entry.name.removesuffix(".toml") for entry in files(package).iterdir() if entry.name.endswith(".toml")
@@ -37,15 +37,15 @@ def built_in_names(package: str) -> list[str]:
 
 
 def built_in_text(package: str, name: str, noun: str) -> str:
-    """TOML text of a built-in file.
+    """Return the TOML text of a built-in file.
 
     Args:
-        package: the package in which they lie.
-        name: of the file, without its suffix.
-        noun: what such a file is called in the complaint.
+        package: package of the files.
+        name: name of the file, without its suffix.
+        noun: noun for such a file in error messages.
 
     Raises:
-        InputError: there is none of that name; the error lists those that there are.
+        InputError: no file has that name; the error lists the names.
     """
     check_kind(noun, name, (str, Path), "a name or a file")
     name = str(name)
@@ -61,10 +61,10 @@ def built_in_text(package: str, name: str, noun: str) -> str:
 
 
 def read_toml_text(path: Path, noun: str) -> str:
-    """Text of a TOML file; `noun` is what it is called in the complaint.
+    """Return the text of a TOML file; `noun` names it in error messages.
 
     Raises:
-        InputError: it cannot be read, is larger than `MAX_BYTES`, or is no text.
+        InputError: it cannot be read, is larger than `MAX_BYTES`, or is not text.
     """
     return read_text(path, f"a readable {noun} in TOML, UTF-8", MAX_BYTES)
 
@@ -74,25 +74,25 @@ def parse_toml(text: str, where: str, example: str) -> dict[str, Any]:
 
     Args:
         text: the TOML text.
-        where: what to call it in the complaint.
-        example: the command that shows a good one.
+        where: name of the text in error messages.
+        example: command that shows a valid file.
 
     Raises:
-        InputError: it is no TOML, or nested more deeply than `MAX_LEVELS`.
+        InputError: it is not valid TOML, or nested more deeply than `MAX_LEVELS`.
     """
     if depth(text) > MAX_LEVELS:
         raise InputError(where, f"nested more than {MAX_LEVELS} deep", f"see `{example}` for a good one")
     try:
         return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # integers of very many digits are no TOMLDecodeError
+    except (ValueError, RecursionError) as error:  # integers of very many digits raise a plain ValueError
         raise InputError(where, f"malformed TOML: {error}", f"see `{example}` for a good one") from None
 
 
 def depth(text: str) -> int:
-    """Levels of a TOML text, at most: of brackets within each other, or of names in a dotted key.
+    """Return an upper bound of the depth of a TOML text: of nested brackets, or of names in a dotted key.
 
-    Looked at before the text is parsed, since the parser takes the stack for each level of brackets, and time
-    in proportion to the square of the names in a key. A text that is no TOML has some number, too.
+    It protects the parser. The parser's stack grows with the depth of brackets, and its time with the square
+    of the number of names in a key. The result is also defined for texts that are not valid TOML.
     """
     plain = _STRINGS.sub(lambda found: "" if found[0].startswith("#") else "s", text)
     level = deepest = 0
@@ -104,19 +104,19 @@ def depth(text: str) -> int:
 
 
 def apply_settings(tree: dict[str, Any], settings: Iterable[str], example: str, see: str) -> dict[str, str]:
-    """Put settings such as `units.*.height_m=9` over a tree; a value is TOML, or plain text where it is none.
+    """Apply settings such as `units.*.height_m=9` to a tree; a value is TOML, or plain text if it is not.
 
     Args:
-        tree: the tree, which is changed.
+        tree: the tree, which is modified.
         settings: `KEY=VALUE` texts.
-        example: a good setting.
-        see: the command that shows all keys.
+        example: a valid setting, for error messages.
+        see: command that shows all keys.
 
     Returns:
-        `--set KEY` by key, to name the option as the place of a problem.
+        `--set KEY` by key, with which later errors name the option.
 
     Raises:
-        InputError: a setting has no key or no value, or its key leads nowhere.
+        InputError: a setting has no key or no value, or its key does not exist.
     """
     origins = {}
     for setting in check_texts("settings", settings):
@@ -140,17 +140,17 @@ def _setting_value(text: str) -> Any:
 def put_value(
     tree: dict[str, Any], key: str, value: Any, where: str, *, see: str = "skyherd scenario schema"
 ) -> None:
-    """Put a value at a dotted key such as `units.0.height_m`, where `*` is every item of a list.
+    """Set the value at a dotted key such as `units.0.height_m`, where `*` is every item of a list.
 
     Args:
-        tree: the tree, which is changed.
+        tree: the tree, which is modified.
         key: the dotted key.
         value: the value, which is copied.
-        where: what to call the key in a problem.
-        see: the command that shows all keys.
+        where: name of the key in error messages.
+        see: command that shows all keys.
 
     Raises:
-        InputError: the key leads nowhere.
+        InputError: the key does not lead to a table or an item.
     """
     check_kind(f"{where}: key", key, str, "a dotted key")
     *parents, last = key.strip().split(".")
@@ -165,7 +165,7 @@ def put_value(
 
 
 def get_value(tree: dict[str, Any], key: str) -> Any:
-    """The value at a dotted key of a complete tree, where `*` is the first item of a list."""
+    """Return the value at a dotted key of a complete tree, where `*` is the first item of a list."""
     check_kind("get_value: key", key, str, "a dotted key")
     node: Any = tree
     for part in key.split("."):
@@ -180,7 +180,7 @@ def _children(node: Any, part: str, where: str, see: str) -> list[Any]:
 
 
 def _indices(node: Any, part: str, where: str, see: str) -> list[int]:
-    """Which items of a list a part of a key means."""
+    """Return the indices of the items of a list that a part of a key selects."""
     if not isinstance(node, list):
         raise InputError(
             where, f"nothing is called {part!r} there", f"the part before it is not a table; see `{see}`"

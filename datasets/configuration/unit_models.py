@@ -1,4 +1,4 @@
-"""Scenario keys of an aerial unit: where it hangs, how it sways and flies, and what camera it has."""
+"""Scenario keys of an aerial unit: start, sway, flight and camera."""
 
 from typing import Annotated, Literal, Self
 
@@ -23,12 +23,12 @@ from skyherd.datasets.configuration.fields import (
 from skyherd.errors import InputError, join_errors
 
 LENS_CHECKS = 5
-"""Zooms at which a lens is checked, from the least to the greatest. *Chosen*: what a lens does changes
-smoothly with the zoom, so that five show whether it folds the image."""
+"""Number of zooms at which a lens is checked, between the extremes. Chosen: the distortion varies smoothly
+with the zoom, so that five show whether the lens folds the image."""
 
 
 class FlightModel(Model):
-    """How a unit flies; lengths are in halves of the image's shorter side."""
+    """Law of flight of a unit; lengths are in halves of the image's shorter side."""
 
     kind: Literal["follow", "perimeter", "hover", "keep-in-view"] = Field(
         "follow",
@@ -62,7 +62,7 @@ class FlightModel(Model):
 
 
 class SwayModel(Model):
-    """How a unit sways: its tilt is filtered noise around the unit's `tilt_deg`, from the scenario's seed."""
+    """Sway of a unit: filtered noise around the unit's `tilt_deg`, drawn from the scenario's seed."""
 
     tilt_deg: Annotated[FiniteFloat, Field(ge=0.001, le=15)] = Field(
         description="deg; root mean square of the tilt, both axes together"
@@ -74,7 +74,7 @@ class SwayModel(Model):
 
 
 class UnitModel(Model):
-    """One aerial unit: where it starts, its camera, its flight, and when it fails."""
+    """Aerial unit: its start, camera, flight and failures."""
 
     position_m: Point = Field(description="m; ground point (x, y) below it at the start")
     height_m: Height = Field(description="m; height above the ground at the start")
@@ -114,11 +114,11 @@ class UnitModel(Model):
 
     @property
     def ideal(self) -> bool:
-        """Whether Property 1 holds for its camera: square pixels, a straight lens, and no tilt."""
+        """True if Property 1 holds for its camera: square pixels, a lens without distortion, and no tilt."""
         return self.sway is None and not any(self.tilt_deg) and self.camera.ideal
 
     def zooms(self) -> list[float]:
-        """Zooms between the least and the greatest that may occur, at which the lens is checked."""
+        """Return the zooms, from the least to the greatest possible, at which the lens is checked."""
         scripted = [zoom for _, zoom in self.zoom]
         low, high = self.zoom_range
         return [float(z) for z in np.geomspace(min(scripted) * low, max(scripted) * high, LENS_CHECKS)]

@@ -1,7 +1,7 @@
-"""Problems of configuration files, in words: where, what is wrong, what is allowed, what to do.
+"""Error messages for configuration files: where, what is wrong, what is allowed, what to do.
 
-Pydantic finds the problems; the words come from the model's JSON schema. A validator of a model raises
-`InputError`, whose place is a key relative to the model, or empty for the value itself.
+Pydantic finds the problems. The wording comes from the model's JSON schema. A validator of a model raises
+`InputError`, located at a key relative to the model, or at an empty key for the value itself.
 """
 
 from collections.abc import Iterator, Mapping
@@ -15,22 +15,22 @@ from skyherd.errors import MAX_PROBLEMS, InputError, join_errors
 from skyherd.text import did_you_mean, shorten
 
 MAX_SHOWN = 60
-"""Characters of a value or a key that a problem shows. *Chosen*: a number, a name or a short list."""
+"""Maximum number of characters of a value or a key in a message. Chosen: a number, a name or a short list."""
 
 MAX_LEVELS = 8
-"""Tables within each other in which a key is looked for. *Chosen*: scenarios have six."""
+"""Maximum depth of tables in the search for a key. Chosen: scenarios have six levels."""
 
 RENAMED_BEGINNINGS = {"least_": "min_", "smallest_": "min_", "most_": "max_", "largest_": "max_"}
-"""How names of keys began in earlier versions, and how they begin now."""
+"""Prefixes of keys in earlier versions, and their replacements."""
 
 RENAMED_KEYS: Mapping[str, str] = {}
-"""Other keys of earlier versions and their names now."""
+"""Other keys of earlier versions, and their present names."""
 
 MAX_EXACT = 1e15
-"""Bounds below this are written exactly by 15 digits."""
+"""Magnitude below which 15 digits represent a bound exactly."""
 
 Schema = dict[str, Any]
-"""A JSON schema, or a part of one."""
+"""JSON schema, or a part of one."""
 
 Location = tuple[int | str, ...]
 """Keys and indices that lead to a value."""
@@ -41,14 +41,14 @@ M = TypeVar("M", bound=BaseModel)
 def check_tree(
     model: type[M], tree: Any, where: str, *, see: str, origins: Mapping[str, str] | None = None
 ) -> M:
-    """Check a tree of plain values against a model.
+    """Validate a tree of plain values against a model.
 
     Args:
-        model: what the tree has to be.
+        model: the model.
         tree: dictionaries, lists and plain values, as in a TOML file.
-        where: the file, or what to call it.
-        see: the command that shows what is allowed.
-        origins: options of the command line that gave values, by dotted key; see `locate`.
+        where: the file, or its name in error messages.
+        see: command that shows the allowed values.
+        origins: command-line options that set values, by dotted key; see `locate`.
 
     Raises:
         InputError: all problems of the tree, unknown keys first.
@@ -67,14 +67,14 @@ def input_error(
     see: str,
     origins: Mapping[str, str] | None = None,
 ) -> InputError:
-    """Turn all complaints of a validation into one error, unknown keys first.
+    """Convert a validation error of Pydantic into one `InputError` with all problems, unknown keys first.
 
     Args:
-        error: what Pydantic raised.
-        model: the model that the tree was checked against.
-        where: the file, or what to call it.
-        see: the command that shows what is allowed.
-        origins: options of the command line that gave values, by dotted key; see `locate`.
+        error: Pydantic's error.
+        model: the model of the validation.
+        where: the file, or its name in error messages.
+        see: command that shows the allowed values.
+        origins: command-line options that set values, by dotted key; see `locate`.
     """
     schema = _schema(model)
     details = error.errors(include_url=False)
@@ -93,19 +93,19 @@ def _schema(model: type[BaseModel]) -> Schema:
 
 
 def _rank(detail: ErrorDetails) -> tuple[bool, int]:
-    """Order of problems: unknown keys first, those of the top level before others; the rest as it is."""
+    """Return the sort key of a problem: unknown keys first, by level; the others in their order."""
     is_unknown = detail["type"] == "extra_forbidden"
     return not is_unknown, len(detail["loc"]) if is_unknown else 0
 
 
 def locate(where: str, key: str, origins: Mapping[str, str], *, unknown: bool = False) -> str:
-    """Return how a problem names its place: the option that gave the value, or the file and the key.
+    """Return the location in an error message: the option that set the value, or the file and the key.
 
     Args:
-        where: the file, or what to call it.
+        where: the file, or its name in error messages.
         key: dotted key of the value, empty for the whole file.
-        origins: options such as `--set control.k`, by the dotted keys that they gave; `*` is any item.
-        unknown: whether there is no such key, so that an option that leads through it is named.
+        origins: options such as `--set control.k`, by the dotted keys that they set; `*` is any item.
+        unknown: True if the key does not exist. An option whose key leads through it is then named.
     """
     parts = key.split(".")
     for given, option in reversed(list(origins.items())):
@@ -120,7 +120,7 @@ def locate(where: str, key: str, origins: Mapping[str, str], *, unknown: bool = 
 
 
 def shown(value: Any) -> str:
-    """Return a value as a problem shows it, shortened."""
+    """Return a value as text for an error message, shortened."""
     try:
         return shorten(repr(value), MAX_SHOWN)
     except ValueError:
@@ -128,11 +128,11 @@ def shown(value: Any) -> str:
 
 
 def expected(schema: Schema, top: Schema) -> str:
-    """Return what a value may be, in words.
+    """Return a description of the values that a schema allows.
 
     Args:
         schema: the schema of the value.
-        top: the whole schema, in which references are looked up.
+        top: the whole schema, in which references are resolved.
     """
     schema = _resolved(schema, top)
     if "anyOf" in schema:
@@ -176,7 +176,7 @@ def _expected_list(schema: Schema, top: Schema) -> str:
 
 
 def _range(schema: Schema) -> str:
-    """The bounds of a number, as they follow the word `number`."""
+    """Return the bounds of a number, as a suffix of the word `number`."""
     low, above = schema.get("minimum"), schema.get("exclusiveMinimum")
     high, below = schema.get("maximum"), schema.get("exclusiveMaximum")
     if low is not None and high is not None:
@@ -194,7 +194,7 @@ def _number(bound: float) -> str:
 
 
 def _problems(detail: ErrorDetails, top: Schema) -> Iterator[tuple[str, str, str]]:
-    """Key, what is wrong and what is allowed, of each problem that one complaint of Pydantic stands for."""
+    """Yield key, problem and allowed values for each problem in one error of Pydantic."""
     location, value = tuple(detail["loc"]), detail["input"]
     key, schema = _key(location), _node(location, top)
     match detail["type"]:
@@ -220,7 +220,7 @@ def _problems(detail: ErrorDetails, top: Schema) -> Iterator[tuple[str, str, str
 
 
 def _own_problems(key: str, value: Any, error: Exception) -> Iterator[tuple[str, str, str]]:
-    """The same of an exception that a validator of a model raised."""
+    """Yield key, problem and allowed values of an exception that a validator of a model raised."""
     if isinstance(error, InputError):
         for problem in error.problems:
             place = ".".join(part for part in (key, problem.where) if part)
@@ -237,12 +237,12 @@ def _what(value: Any) -> str:
 
 
 def _key(location: Location) -> str:
-    """A dotted key; what Pydantic adds for the keys of a dictionary is left out."""
+    """Return a dotted key, without the marks that Pydantic adds for the keys of a dictionary."""
     return shorten(".".join(str(part) for part in location if part != "[key]"), MAX_SHOWN)
 
 
 def _instead(name: str, known: list[str], top: Schema) -> str:
-    """What to write instead of an unknown key, of which `known` are the keys beside it."""
+    """Return a replacement for an unknown key, where `known` are the keys at the same level."""
     if (new := renamed(name)) in known:
         return f"renamed to {new}"
     if meant := did_you_mean(name, known):
@@ -253,7 +253,7 @@ def _instead(name: str, known: list[str], top: Schema) -> str:
 
 
 def renamed(name: str) -> str | None:
-    """Return the present name of a key of earlier versions; None if the name is not that of such a key."""
+    """Return the present name of a key of earlier versions, or None."""
     for old, new in RENAMED_BEGINNINGS.items():
         if name.startswith(old):
             return new + name.removeprefix(old)
@@ -261,13 +261,13 @@ def renamed(name: str) -> str | None:
 
 
 def _names(schema: Schema, top: Schema) -> list[str]:
-    """The values of an enumeration; empty for everything else."""
+    """Return the values of an enumeration; empty for other schemas."""
     options = [_resolved(option, top) for option in schema.get("anyOf", [schema])]
     return [str(name) for option in options for name in option.get("enum", [])]
 
 
 def _resolved(schema: Schema, top: Schema) -> Schema:
-    """A schema with its reference, if it is one, replaced by what is referred to; its description is kept."""
+    """Resolve the reference of a schema, and keep the schema's own description."""
     if "$ref" not in schema:
         return schema
     found: Schema = top.get("$defs", {}).get(schema["$ref"].rsplit("/", 1)[-1], {})
@@ -276,7 +276,7 @@ def _resolved(schema: Schema, top: Schema) -> Schema:
 
 
 def _node(location: Location, top: Schema) -> Schema:
-    """The schema of the value at a location; empty where the schema does not say."""
+    """Return the schema of the value at a location; empty if it is not defined."""
     node = top
     for part in location:
         options = [_resolved(option, top) for option in _options(_resolved(node, top))]
@@ -290,7 +290,7 @@ def _options(schema: Schema) -> list[Schema]:
 
 
 def _below(schema: Schema, part: int | str) -> Schema:
-    """The schema of one item of a list, or of one key of a table; empty if it has none."""
+    """Return the schema of an item of a list, or of a key of a table; empty if it is not defined."""
     found: Any = None
     if isinstance(part, int):
         first = schema.get("prefixItems", [])
@@ -301,7 +301,7 @@ def _below(schema: Schema, part: int | str) -> Schema:
 
 
 def _paths(top: Schema) -> Iterator[str]:
-    """Every key of a schema as a dotted path, `*` for the items of lists, those of few levels first."""
+    """Yield all keys of a schema as dotted paths, breadth first, with `*` for the items of lists."""
     waiting: list[tuple[str, Schema, int]] = [("", top, 0)]
     while waiting:
         prefix, node, level = waiting.pop(0)

@@ -1,4 +1,4 @@
-"""Random crowded missions: bodies close together, every robot with any place of the shape."""
+"""Random crowded missions: bodies close together, and a random assignment of robots to template points."""
 
 from typing import Any
 
@@ -18,28 +18,29 @@ from skyherd.geometry import Array, BoolArray, ComplexArray, to_points
 from skyherd.random_streams import RunStream, generator
 
 START_SPACING = 2.5
-"""Least distance between two robots' centres at the start, marker sides. *Chosen*: half a side of room
+"""Minimum distance between two robots' centres at the start, marker sides. Chosen: a gap of half a side
 between bodies."""
 
 SHAPE_SPACING = 3.0
-"""Least distance between two robots' centres in the finished shape, marker sides. *Chosen*: a side of room
-between bodies."""
+"""Minimum distance between two robots' centres in the finished shape, marker sides. Chosen: a gap of one
+side between bodies."""
 
 MIN_HEIGHT_M = 3.0
-"""Least height of a unit, m. *Derived*: the autopilot's in `make_tree`."""
+"""Minimum height of a unit, m. Derived: the autopilot's minimum in `make_tree`."""
 
 VIEW_TRIES = 100
-"""Random places of the units tried for a start. *Chosen*: another start is drawn where these fail."""
+"""Number of random unit positions tried for one start. Chosen: a new start is drawn after a failure."""
 
 
 def crowded_mission(seed: int, units: int | None = None) -> dict[str, Any]:
-    """Draw a crowded mission, a tree of plain values; the number of units is random if not given.
+    """Draw a crowded mission as a tree of plain values; without `units`, their number is random.
 
-    6 to 40 robots, whose bodies cover 3 to 12 % of the disk that they stand in; 1 to 5 units whose views
-    cover it, each with IN_COMMON robots in common with another; places of a random shape given at random.
+    A mission has 6 to 40 robots. Their bodies cover 3 to 12 % of the disk in which they start. Each robot is
+    in the view of one of 1 to 5 units. Pairs of units that see `IN_COMMON` robots in common form a connected
+    graph. The template points are random, in random order.
 
     Raises:
-        RuntimeError: no start was found, however often one was drawn.
+        RuntimeError: no start was found in `TRIES` draws.
     """
     rng = generator(seed, RunStream.CROWDED_MISSION)
     for _ in range(TRIES):
@@ -73,7 +74,7 @@ def crowded_mission(seed: int, units: int | None = None) -> dict[str, Any]:
 
 
 def _scatter(rng: np.random.Generator, count: int, *, radius: float, spacing: float) -> ComplexArray | None:
-    """Points in a disk, no two nearer than `spacing`; None if there is no room."""
+    """Draw points in a disk, no two nearer than `spacing`; return None if there is no room."""
     placed: list[complex] = []
     for _ in range(200 * count):
         at = radius * np.sqrt(rng.random()) * np.exp(2j * np.pi * rng.random())
@@ -87,7 +88,10 @@ def _scatter(rng: np.random.Generator, count: int, *, radius: float, spacing: fl
 def _views(
     rng: np.random.Generator, units: int, *, radius_m: float, robots: ComplexArray | None
 ) -> tuple[ComplexArray, Array] | None:
-    """Places of the units and half the widths of their views, m: all robots seen, and enough in common."""
+    """Draw ground points of the units and half the widths of their views, m; return None on failure.
+
+    Every robot is in some view, and views that share `IN_COMMON` robots connect all units.
+    """
     if robots is None:
         return None
     view_m = radius_m * (1.15 if units == 1 else 1.25 / np.sqrt(units) + 0.15)
@@ -101,6 +105,6 @@ def _views(
 
 
 def _connected(neighbors: BoolArray) -> bool:
-    """Whether the graph of this adjacency matrix hangs together."""
+    """Return True if the graph of this adjacency matrix is connected."""
     reached = np.linalg.matrix_power(neighbors.astype(float) + np.eye(len(neighbors)), len(neighbors))
     return bool((reached > 0).all())

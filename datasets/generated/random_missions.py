@@ -1,6 +1,6 @@
-"""Random missions: a random tree of units, robots under them, and a random shape.
+"""Random missions: a random tree of units, robots below them, and a random shape.
 
-A mission is a scenario as a tree of plain values, for `make_mission`. It follows from its seed alone.
+A mission is a scenario as a tree of plain values, for `make_mission`. Its seed alone determines it.
 """
 
 from dataclasses import dataclass
@@ -17,45 +17,43 @@ from skyherd.messages.checks import check_kind
 from skyherd.random_streams import RunStream, generator
 
 SIDE_M = 0.2
-"""Side of the markers, m. *Chosen*: a small ground robot's; robots' places and spacings are multiples of
-it."""
+"""Marker side, m. Chosen: that of a small ground robot. Positions and spacings are multiples of it."""
 
 IN_COMMON = 4
-"""Robots that neighbours in the tree see together at the start, at least. *Chosen*: a pair for their edge,
-and two more for the edges that either has to others."""
+"""Minimum number of robots that two neighbours in the tree both see at the start. Chosen: a pair for their
+edge, and two more for the edges of either to other units."""
 
 TRIES = 200
-"""Random starts tried before a seed is given up. *Chosen*: a seed that fails so often has hardly any room for
-its robots."""
+"""Number of random starts tried per seed. Chosen: a seed that fails so often leaves too little room for its
+robots."""
 
 PLACE_TRIES = 2000
-"""Random places tried for the robots of one group before a start is given up. *Chosen*: a view has room for
-hundreds."""
+"""Number of random positions tried for one group of robots. Chosen: a view has room for hundreds."""
 
 SHAPE_TRIES = 5000
-"""Random points tried for a shape before it is given up. *Chosen*: as `PLACE_TRIES`, for up to 64 points."""
+"""Number of random points tried for a shape. Chosen: as `PLACE_TRIES`, for up to 64 points."""
 
 WITHIN = 0.85
-"""Robots lie within this share of a view's half width about its middle. *Chosen*: the scenario's default
-safety radius, inside which a unit controls robots."""
+"""Share of a view's half width within which robots are placed. Chosen: the default safety radius of a
+scenario, inside which a unit controls robots."""
 
 BODY_SIDES = 1.0
-"""Radius of a robot's body, marker sides. *Chosen*: two sides across hold a marker with its quiet zone."""
+"""Radius of a robot's body, marker sides. Chosen: a body of two sides holds a marker with its quiet zone."""
 
 LEGIBLE_PX = 20.0
-"""Side of a marker in the images, px, at least, at the start. *Chosen*: 3 px a cell; smaller markers are
-found less surely."""
+"""Minimum marker side in the images at the start, px. Chosen: 3 px a cell; detection of smaller markers is
+less reliable."""
 
 
 @dataclass(frozen=True)
 class Crowd:
-    """The size of a random mission.
+    """Size of a random mission.
 
     Attributes:
         units: number of aerial units.
-        robots_a_unit: robots for each unit, so that there are `units * robots_a_unit`.
-        form: the tree of the units: each one's parent is the one before it (`chain`), the first one (`star`,
-            of seven units at most, for want of room), or any before it.
+        robots_a_unit: number of robots per unit; the total is `units * robots_a_unit`.
+        form: topology of the tree of units. The parent of each unit is the previous one (`chain`), the first
+            one (`star`, with room for at most seven units), or any previous one (`random`).
     """
 
     units: int
@@ -64,21 +62,21 @@ class Crowd:
 
 
 def random_crowd(rng: np.random.Generator, units: tuple[int, int] = (2, 8)) -> Crowd:
-    """Draw a crowd: a number of units between two bounds, with 4 to 8 robots each."""
+    """Draw the size of a mission: a number of units within two bounds, and 4 to 8 robots per unit."""
     check_kind("random_crowd: rng", rng, np.random.Generator, "a numpy.random.Generator")
     count = int(rng.integers(units[0], units[1], endpoint=True))
     return Crowd(units=count, robots_a_unit=int(rng.integers(4, 8, endpoint=True)))
 
 
 def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
-    """Draw a mission of a crowd, which is itself random if not given; a tree of plain values.
+    """Draw a mission as a tree of plain values; without `crowd`, its size is random.
 
-    Cameras differ in focal length, image size, yaw and height. Robots lie so that each is in a view, and
-    neighbours in the tree see at least IN_COMMON together. The shape is made of random points; roles are
-    given by the best-fitting similarity, and the shape that fits has spacings of at least two marker sides.
+    Cameras differ in focal length, image size, yaw and height. Each robot is in a view. Neighbours in the
+    tree have at least `IN_COMMON` robots in common. The shape consists of random points. The best-fitting
+    similarity assigns the roles. The fitted shape has spacings of at least two marker sides.
 
     Raises:
-        RuntimeError: no start was found, however often one was drawn.
+        RuntimeError: no start was found in `TRIES` draws.
     """
     rng = generator(seed, RunStream.RANDOM_MISSION)
     crowd = random_crowd(rng) if crowd is None else crowd
@@ -108,9 +106,9 @@ def random_mission(seed: int, crowd: Crowd | None = None) -> dict[str, Any]:
 
 
 def star_mission(seed: int) -> dict[str, Any]:
-    """Draw a mission with a star of 16 robots under three units in a line, 5 m apart and 10 m high.
+    """Draw a mission with a star of 16 robots under three units in a line, as a tree of plain values.
 
-    The start is random; roles are given by the best-fitting similarity. A tree of plain values.
+    The units are 5 m apart and 10 m high. The start is random. The best-fitting similarity assigns the roles.
     """
     rng = generator(seed, RunStream.STAR_MISSION)
     robots = None
@@ -135,7 +133,7 @@ def star_mission(seed: int) -> dict[str, Any]:
 
 
 def _radii(heights_m: Array, cameras: list[dict[str, Any]]) -> Array:
-    """Half the width, m, that each unit sees on the ground."""
+    """Return half the width that each unit sees on the ground, m."""
     return np.asarray(heights_m * np.tan(np.radians([camera["half_angle_deg"] for camera in cameras])))
 
 
@@ -149,18 +147,18 @@ def make_tree(
     robots: ComplexArray,
     template: ComplexArray,
 ) -> dict[str, Any]:
-    """Make a scenario, a tree of plain values, of what was drawn.
+    """Make a scenario, as a tree of plain values, from the drawn quantities.
 
-    Images have so many pixels that markers are LEGIBLE_PX large at the start, and units keep them from
-    becoming too small to be read. Robots have bodies and avoid one another: one that drove over another would
-    hide it from all. So the same mission can be run with markers projected and drawn.
+    The image size makes markers at least `LEGIBLE_PX` large at the start. Units keep markers from becoming
+    too small. Robots have bodies and avoid each other, because a robot on top of another would hide its
+    marker. The same mission therefore runs with projected and with rendered markers.
 
     Args:
-        seed: of the mission.
-        rng: draws the units' yaws and the robots' headings.
+        seed: seed of the mission.
+        rng: generator of the units' yaws and the robots' headings.
         centers: (U,) ground points below the units, m, `x + iy`.
-        heights_m: (U,) their heights.
-        cameras: their cameras, as `random_camera` gives them.
+        heights_m: (U,) heights of the units.
+        cameras: cameras of the units, as `random_camera` returns them.
         robots: (N,) start positions, m, `x + iy`.
         template: (N,) points of the shape, in the robots' order, in any unit.
     """
@@ -200,7 +198,7 @@ def make_tree(
 
 
 def _legible(camera: dict[str, Any], height_m: float) -> dict[str, Any]:
-    """A camera with so many pixels, a whole number of times as many, that markers are LEGIBLE_PX large."""
+    """Scale a camera's resolution by a whole number, so that markers are at least `LEGIBLE_PX` large."""
     size, (u0, v0) = min(camera["size_px"]), camera["principal_point_px"]
     focal_px = size / 2 / np.tan(np.radians(camera["half_angle_deg"]))
     finer = int(np.ceil(LEGIBLE_PX * height_m / (SIDE_M * focal_px)))
@@ -211,7 +209,7 @@ def _legible(camera: dict[str, Any], height_m: float) -> dict[str, Any]:
 
 
 def _tree(rng: np.random.Generator, crowd: Crowd) -> tuple[ComplexArray, list[int]]:
-    """Places of the units, m, each about 7 m from its parent and no nearer to any other."""
+    """Draw the units' ground points, m, 6 to 8 m from their parents; return the parents as well."""
     centers, parents = [0j], [-1]
     while len(centers) < crowd.units:
         before = {"chain": [len(centers) - 1], "star": [0]}.get(crowd.form, range(len(centers)))
@@ -224,7 +222,7 @@ def _tree(rng: np.random.Generator, crowd: Crowd) -> tuple[ComplexArray, list[in
 
 
 def random_camera(rng: np.random.Generator) -> dict[str, Any]:
-    """Draw a camera of random size, focal length and principal point, as keys of `CameraModel`."""
+    """Draw a camera of random size, half angle and principal point, as keys of `CameraModel`."""
     size = int(rng.choice([640, 800, 1000]))
     return {
         "half_angle_deg": float(rng.uniform(28.0, 38.0)),
@@ -242,7 +240,7 @@ def _robots(
     radii_m: Array,
     extra: int = 0,
 ) -> ComplexArray | None:
-    """Places of the robots, m, three sides apart: first what neighbours share, then around each unit."""
+    """Draw the robots' positions, m, over three sides apart: shared ones first, then around each unit."""
     places: list[complex] = []
 
     def put(count: int, units: list[int]) -> bool:
@@ -270,7 +268,7 @@ def _robots(
 
 
 def _template(rng: np.random.Generator, robots: ComplexArray) -> ComplexArray | None:
-    """A random shape over about the start's extent, its points in the robots' order."""
+    """Draw a random shape about as large as the start, in the robots' order; return None on failure."""
     spread = np.abs(robots - robots.mean()).max()
     shape: list[complex] = []
     for _ in range(SHAPE_TRIES):
@@ -287,7 +285,7 @@ def _template(rng: np.random.Generator, robots: ComplexArray) -> ComplexArray | 
 
 
 def _assign(shape: ComplexArray, robots: ComplexArray) -> ComplexArray:
-    """The shape's points in the robots' order: assignment and similarity in turn, until neither improves."""
+    """Sort a shape's points into the robots' order, alternating assignment and similarity to convergence."""
     placed = shape - shape.mean() + robots.mean()
     order = np.arange(shape.size)
     for _ in range(50):

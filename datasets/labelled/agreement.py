@@ -1,4 +1,4 @@
-"""Compares the labels of a set with what skyherd's own detector finds in the images."""
+"""Comparison of the labels of a set with the detections of skyherd's own detector."""
 
 from dataclasses import dataclass
 
@@ -12,30 +12,30 @@ from skyherd.messages import Detections
 from skyherd.vision import create_detector
 
 CLEAR_SIDE_PX = 20.0
-"""Side from which on a whole marker ought to be found, px. *Chosen*: some 3 px a cell."""
+"""Side above which the detector should find a whole marker, px. Chosen: about 3 px a cell."""
 
 CLEAR_BOUND_PX = 0.05
-"""Least standard deviation of position (Cramér–Rao), px, up to which a marker ought to be found. *Chosen*:
-blur and noise that allow this leave its bits legible."""
+"""Cramér–Rao standard deviation of position, px, below which the detector should find a marker. Chosen: bits
+are legible under the corresponding blur and noise."""
 
 FAR_SIDES = 0.1
-"""Share of its side by which a marker may be found off its label, but at least `NEAR_PX`. *Chosen*: far more
-than the detector's errors, far less than to another marker."""
+"""Maximum position error, as a share of the marker side, but at least `NEAR_PX`. Chosen: far above the
+detector's errors, far below the distance to another marker."""
 
 NEAR_PX = 1.0
-"""Distance by which a marker may always be found off its label, px. *Chosen*: see `FAR_SIDES`."""
+"""Position error that is always accepted, px. Chosen: see `FAR_SIDES`."""
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """What skyherd's detector finds in a sample of the images, against the truth.
+    """Agreement of skyherd's detector with the ground truth in a sample of images.
 
     Attributes:
-        images: number of images looked at.
-        clear: markers in them that are whole, large and sharp enough to be found.
-        found: how many of these were found.
-        rmse_px: root mean square error of their positions along one axis; NaN if there are none.
-        rmse_deg: root mean square error of their headings.
+        images: number of images in the sample.
+        clear: number of markers in them that are whole, large and sharp enough to be found.
+        found: number of these that were found.
+        rmse_px: root mean square error of their positions along one axis; NaN without markers.
+        rmse_deg: root mean square error of their headings; NaN without markers.
     """
 
     images: int
@@ -46,22 +46,22 @@ class Agreement:
 
     @property
     def recall(self) -> float:
-        """Share of the clear markers that was found; NaN if there are none."""
+        """Share of the clear markers that was found; NaN without clear markers."""
         return self.found / self.clear if self.clear else float("nan")
 
 
 def look(images: list[LabelledImage], dictionary: str) -> tuple[Agreement, list[str]]:
-    """Detect markers in each image that can be read, and compare them with its labels.
+    """Detect markers in each readable image, and compare them with its labels.
 
     Returns:
-        The agreement over all images, and a line for each image that does not agree.
+        The agreement over all images, and one line for each image that disagrees.
     """
     detector = create_detector("photometric", dictionary=dictionary)
     counts, doubts = np.zeros(2, dtype=int), []
     errors: list[Array] = [np.zeros((0, 3))]
     for number, image in enumerate(images):
         try:
-            # As if by a camera of its own: a detector remembers a camera's blur and noise.
+            # Each image counts as a camera of its own, because a detector keeps estimates of blur and noise.
             found = detector.detect(image.read(), unit_id=number)
         except InputError:
             continue
@@ -81,7 +81,7 @@ def look(images: list[LabelledImage], dictionary: str) -> tuple[Agreement, list[
 
 
 def _compare(labels: Labels, clear: BoolArray, found: Detections) -> tuple[Array, str | None]:
-    """Errors (u px, v px, heading deg) of the clear markers found, and what does not agree."""
+    """Return the errors (u px, v px, heading deg) of the clear markers found, and a disagreement or None."""
     _, here, there = np.intersect1d(labels.ids, found.ids, return_indices=True)
     away = found.centers_px[there] - labels.centers_px[here]
     turned = np.degrees(wrap_angle(found.headings_rad[there] - np.radians(labels.headings_deg[here])))
@@ -97,6 +97,6 @@ def _compare(labels: Labels, clear: BoolArray, found: Detections) -> tuple[Array
 
 
 def _clear(labels: Labels) -> BoolArray:
-    """Which markers ought to be found (N,)."""
+    """Return the mask (N,) of the markers that the detector should find."""
     sharp = labels.crb_stds[:, :2].max(axis=1, initial=0.0) < CLEAR_BOUND_PX
     return np.asarray((labels.visible_fractions == 1.0) & (labels.sides_px >= CLEAR_SIDE_PX) & sharp)

@@ -1,4 +1,4 @@
-"""The cameras of a labelled image set: lenses, sensors, and what is done to images after them."""
+"""Cameras of a labelled image set: lenses, sensors, and image processing."""
 
 from typing import Annotated, Literal
 
@@ -18,11 +18,11 @@ from skyherd.datasets.configuration.scene_models import (
 from skyherd.datasets.labelled.ranges import Span
 
 Blur = Annotated[FiniteFloat, Field(ge=0.3, le=5)]
-"""Standard deviation of a lens's blur, px. *Chosen*: from sharp lenses to images out of focus."""
+"""Standard deviation of a lens's blur, px. Chosen: from sharp lenses to images out of focus."""
 
 
 class DistortionSpec(Model):
-    """Coefficients of the lenses after Brown and Conrady, as OpenCV names them."""
+    """Coefficients of the lenses after Brown and Conrady, named as in OpenCV."""
 
     k1: Span[Coefficient] = Field((0.0, 0.0), description="radial coefficient of r²")
     k2: Span[Coefficient] = Field((0.0, 0.0), description="radial coefficient of r⁴")
@@ -32,7 +32,7 @@ class DistortionSpec(Model):
 
 
 class CameraSpec(Model):
-    """The cameras; all is drawn once for each camera, but the tilt, which is drawn for each image."""
+    """The cameras. The tilt is drawn for each image, and everything else once for each camera."""
 
     half_angle_deg: Span[Annotated[FiniteFloat, Field(ge=5, le=70)]] = Field(
         (27.0, 27.0), description="deg; half the field of view across the image's shorter side"
@@ -48,7 +48,7 @@ class CameraSpec(Model):
 
 
 class LensBlurSpec(Model):
-    """Blur of the lens that is no Gaussian, beside `camera.psf_px`; each part is off at 0."""
+    """Non-Gaussian blur of the lens, in addition to `camera.psf_px`; each part is off at 0."""
 
     disc_px: Span[BlurLength] = Field((0.0, 0.0), description="px; radius of the disc of defocus")
     coma_px: Span[BlurLength] = Field((0.0, 0.0), description="px; length C of the coma, in any direction")
@@ -61,7 +61,7 @@ class LensBlurSpec(Model):
 
 
 class ProcessingSpec(Model):
-    """What the cameras do to images after their sensors; each part is off unless it is set."""
+    """Image processing in the cameras after their sensors; each step is off by default."""
 
     demosaic: Literal["none", "bilinear", "edge-aware"] = Field(
         "none", description="a mosaic of colour filters after Bayer, and how colours between are interpolated"
@@ -79,7 +79,7 @@ class ProcessingSpec(Model):
 
 
 class SensorSpec(Model):
-    """What the sensor does to images; each part is off at 0, gain at 1, jpeg_quality if left out."""
+    """Effects of the sensor on images: each is off at 0, `gain` at 1, `jpeg_quality` at None."""
 
     noise: Span[Grey] = Field((2.0, 2.0), description="grey levels; standard deviation")
     shot: Span[Share] = Field((0.0, 0.0), description="variance of shot noise for each grey level")

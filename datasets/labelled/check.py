@@ -1,8 +1,8 @@
-"""Checks a labelled image set: its files, its layouts against the truth, the truth against spec and pixels.
+"""Checks of a labelled image set: its files, its formats, its ground truth and its pixels.
 
-Layouts follow from the truth table alone, so that they are made again and compared byte by byte. Truth and
-pixels follow from spec and seed, and are compared with what these give, within tolerances, since processors
-and versions of OpenCV differ in the last digits. Last, the detector looks at a sample.
+The truth table alone determines the COCO and YOLO files, which are generated again and compared byte by byte.
+Spec and seed determine truth and pixels. These are compared within tolerances, because processors and
+versions of OpenCV differ in the last digits. Finally, the detector runs on a sample of the images.
 """
 
 import json
@@ -29,32 +29,32 @@ from skyherd.errors import InputError
 from skyherd.files.reading import MAX_JSON_BYTES, parse_json, read_bytes
 
 MAX_SHOWN = 60
-"""Characters of a JSON value that a complaint shows. *Chosen*: a number or a name, and still one line."""
+"""Maximum number of characters of a JSON value in a message. Chosen: a number or a name, within one line."""
 
 TABLE_TOLERANCE = 1e-4
-"""By how much a number of the truth table may differ from the one that its seed gives; px, deg or shares.
-*Chosen*: far below what anything is measured to, and far above the last digits, in which processors differ.
-The table itself is written to 1e-9."""
+"""Maximum difference between a number of the truth table and the one from its seed; px, deg or fractions.
+Chosen: far below the accuracy of any measurement, and far above the rounding differences of processors. The
+table is written to 1e-9."""
 
 PIXEL_TOLERANCE = 1.0
-"""Mean difference, grey levels, allowed between an image and the one that its seed gives. *Chosen*: versions
-of OpenCV interpolate the ground differently by less; noise drawn from another seed alone makes as much."""
+"""Maximum mean difference between an image and the one from its seed, grey levels. Chosen: differences
+between versions of OpenCV are smaller; other noise alone makes as much."""
 
 PATCH_PX, PATCH_TOLERANCE = 16, 8.0
-"""Side, px, of a square patch of an image, and the mean difference, grey levels, allowed in the worst patch.
-*Chosen*: a patch is smaller than any marker that can be read. A marker, or any object, painted over changes
-it by some tens; versions of OpenCV differ by less than one."""
+"""Side of a square patch of an image, px, and maximum mean difference in the worst patch, grey levels.
+Chosen: a patch is smaller than any legible marker. A painted-over object changes it by some tens of grey
+levels; versions of OpenCV differ by less than one."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """The result of a check.
+    """Result of a check.
 
     Attributes:
-        problems: what is wrong, a line each; empty for a good set.
+        problems: one line for each problem; empty for a valid set.
         images: number of images.
         markers: number of labelled markers in them; 0 if the tables cannot be read.
-        agreement: how the detector agrees with the truth; None if the tables cannot be read.
+        agreement: agreement of the detector with the truth; None if the tables cannot be read.
     """
 
     problems: list[str]
@@ -92,7 +92,7 @@ def check_dataset(path: Path, *, sample: int = 24) -> Verdict:
 
 
 def _check_strangers(folder: Folder) -> Iterator[str]:
-    """No file lies where trainers look for files of the set but those of the set."""
+    """Yield a problem for each foreign file in the folders that training tools read."""
     indices = range(folder.spec.images)
     known = {
         *map(folder.image, indices),
@@ -106,7 +106,7 @@ def _check_strangers(folder: Folder) -> Iterator[str]:
 
 
 def _check_table(dataset: Dataset) -> Iterator[str]:
-    """No number of the table of images is infinite or none at all."""
+    """Yield a problem for each number of the table of images that is not finite."""
     for image in dataset:
         for column, text in image.taken.items():
             if not isfinite(_number(text)):
@@ -114,7 +114,7 @@ def _check_table(dataset: Dataset) -> Iterator[str]:
 
 
 def _number(text: str) -> float:
-    """The number that a text is; 0 if it is none, as names are."""
+    """Return the value of a number in text form; 0 for other texts, such as names."""
     try:
         return float(text)
     except ValueError:
@@ -122,7 +122,7 @@ def _number(text: str) -> float:
 
 
 def _check_images(dataset: Dataset) -> Iterator[str]:
-    """Every image is there, whole, and of its size."""
+    """Yield a problem for each image that is missing, damaged or of another size."""
     width, height = dataset.spec.size_px
     for image in dataset:
         try:
@@ -135,7 +135,7 @@ def _check_images(dataset: Dataset) -> Iterator[str]:
 
 
 def _check_coco(folder: Folder, dataset: Dataset) -> Iterator[str]:
-    """Each COCO file is, to the byte, the text that the truth table makes."""
+    """Yield a problem for each COCO file that differs from the text made from the truth table."""
     for split in folder.splits():
         images = [(i, dataset[i].path.name, dataset[i].labels) for i in folder.indices(split)]
         text = coco_text(dataset.spec.description, dataset.spec.size_px, images)
@@ -143,7 +143,7 @@ def _check_coco(folder: Folder, dataset: Dataset) -> Iterator[str]:
 
 
 def _check_yolo(folder: Folder, dataset: Dataset) -> Iterator[str]:
-    """Each YOLO file is, to the byte, the text that the truth table makes."""
+    """Yield a problem for each YOLO file that differs from the text made from the truth table."""
     for index, image in enumerate(dataset):
         text = yolo_text(image.labels, dataset.spec.size_px)
         yield from _compare(folder.yolo(index), text, "the truth table", _line_difference)
@@ -151,7 +151,7 @@ def _check_yolo(folder: Folder, dataset: Dataset) -> Iterator[str]:
 
 
 def _compare(file: Path, wanted: str, source: str, explain: Callable[[str, str], str]) -> Iterator[str]:
-    """A complaint if a file cannot be read, or is not the text that a source makes: the first difference."""
+    """Yield a problem if a file is unreadable, or differs from the expected text: the first difference."""
     try:
         found = read_bytes(file, "make it again", MAX_JSON_BYTES)
     except InputError as error:
@@ -163,7 +163,7 @@ def _compare(file: Path, wanted: str, source: str, explain: Callable[[str, str],
 
 
 def _line_difference(found: str, wanted: str) -> str:
-    """The first line in which a text differs from the text wanted, and the first word in that line."""
+    """Return the first line, and the first word in it, in which a text differs from the expected text."""
     lines = list(zip_longest(found.splitlines(), wanted.splitlines()))
     for number, (here, there) in enumerate(lines, start=1):
         if here is None or there is None:
@@ -175,7 +175,7 @@ def _line_difference(found: str, wanted: str) -> str:
 
 
 def _json_difference(found: str, wanted: str) -> str:
-    """The first place, as a dotted key, in which a JSON document differs from the one wanted."""
+    """Return the first dotted key at which a JSON document differs from the expected one."""
     try:
         document = parse_json(found)
     except json.JSONDecodeError:
@@ -197,13 +197,13 @@ def _json_difference(found: str, wanted: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    """A JSON value in a complaint: numbers and short texts as they are, others cut."""
+    """Return a JSON value for a message; long texts are shortened."""
     text = json.dumps(value)
     return text if len(text) <= MAX_SHOWN else f"{text[:MAX_SHOWN]}…"
 
 
 def _check_seed(dataset: Dataset, chosen: list[int]) -> Iterator[str]:
-    """Table and pixels are what spec and seed make of them."""
+    """Yield a problem for each image whose table rows or pixels differ from those of spec and seed."""
     table = dataset.path / "truth.csv"
     for index in chosen:
         image, scene = dataset[index], make_scene(dataset.spec, index)
@@ -217,7 +217,7 @@ def _check_seed(dataset: Dataset, chosen: list[int]) -> Iterator[str]:
 
 
 def _differs(found: Labels, wanted: Labels) -> str | None:
-    """How an image's rows of the truth table differ from what its seed gives, if they do."""
+    """Return the difference between an image's rows of the truth table and those from its seed, or None."""
     if not np.array_equal(found.ids, wanted.ids):
         return f"has markers {found.ids.tolist()}, by its seed {wanted.ids.tolist()}"
     far = (np.abs(label_table(found) - label_table(wanted)) > TABLE_TOLERANCE).any(axis=1)
@@ -225,7 +225,7 @@ def _differs(found: Labels, wanted: Labels) -> str | None:
 
 
 def _is_other(found: str | None, wanted: object) -> bool:
-    """Whether a text of the table of images is not the value wanted, numbers within the tolerance."""
+    """Return True if a text of the table of images differs from the expected value beyond the tolerance."""
     if isinstance(wanted, int | float) and found is not None:
         try:
             return abs(float(found) - wanted) > TABLE_TOLERANCE
@@ -235,11 +235,11 @@ def _is_other(found: str | None, wanted: object) -> bool:
 
 
 def _repainted(image: LabelledImage, scene: Scene) -> str | None:
-    """How an image that can be read differs from what its seed gives, if it does."""
+    """Return the difference between the pixels of a readable image and those from its seed, or None."""
     try:
         found, wanted = image.read(), scene.render(Path())
     except InputError:
-        return None  # `_check_images` complains of it
+        return None  # `_check_images` reports it
     if found.shape != wanted.shape:
         return None
     difference = cv2.absdiff(found, wanted).astype(np.float32)

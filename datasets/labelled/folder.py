@@ -1,10 +1,10 @@
-"""The folder of a labelled image set: where everything lies in it, and from which spec it was made.
+"""Folder of a labelled image set: its layout, and the spec of the set.
 
-spec.json                        the spec, SHA-256 of its pictures, the version that made it
-images/train, images/val         000000.png …, numbered through
+spec.json                        the spec, SHA-256 of its pictures, the version of skyherd
+images/train, images/val         000000.png …, numbered consecutively over both splits
 labels/train, labels/val         000000.txt …, YOLO-pose; with data.yaml
 annotations/train.json, val.json COCO keypoints
-truth.csv, images.csv            exact truth: a row a marker, a row an image
+truth.csv, images.csv            ground truth: one row per marker, one row per image
 preview.png
 """
 
@@ -27,82 +27,82 @@ from skyherd.files.output_folder import OutputFolder, is_directory
 from skyherd.files.reading import read_json
 
 TRAIN, VAL = "train", "val"
-"""Names of the splits: images for training, and those kept for validation."""
+"""Names of the splits: images for training, and images for validation."""
 
 RECORD = "spec.json"
-"""File that says from which spec the set is made."""
+"""File with the spec of the set."""
 
 VERB = "dataset make"
-"""Verb by which the record of output folders (`skyherd.files.output_folder`) knows the files of a set."""
+"""Verb in the record of output folders (`skyherd.files.output_folder`) for the files of a set."""
 
 SPLITS = (TRAIN, VAL)
-"""All splits, in the order in which they are written."""
+"""All splits, in the order of writing."""
 
 
 @dataclass(frozen=True)
 class Folder:
-    """The folder of a set, whose layout follows from its spec.
+    """Folder of a set, whose layout follows from its spec.
 
     Attributes:
         path: the folder.
-        spec: the spec of what it holds.
+        spec: the spec of its content.
     """
 
     path: Path
     spec: DatasetSpec
 
     def split(self, index: int) -> str:
-        """The split that an image, given by its number, is in."""
+        """Return the split of an image, given by its number."""
         return VAL if self.spec.is_validation(index) else TRAIN
 
     def splits(self) -> list[str]:
-        """The splits that have at least one image."""
+        """Return the splits with at least one image."""
         there = {self.split(index) for index in range(self.spec.images)}
         return [split for split in SPLITS if split in there]
 
     def indices(self, split: str) -> list[int]:
-        """Numbers of a split's images, ascending."""
+        """Return the numbers of a split's images, ascending."""
         return [index for index in range(self.spec.images) if self.split(index) == split]
 
     def image_name(self, index: int) -> str:
-        """An image's file relative to the folder, which is its name in the tables."""
+        """Return an image's file relative to the folder, which is its name in the tables."""
         return f"images/{self.split(index)}/{index:06d}.png"
 
     def image(self, index: int) -> Path:
-        """The file of an image."""
+        """Return the file of an image."""
         return self.path / self.image_name(index)
 
     def yolo(self, index: int) -> Path:
-        """The file of an image's YOLO labels."""
+        """Return the file of an image's YOLO labels."""
         return self.path / f"labels/{self.split(index)}/{index:06d}.txt"
 
     def coco(self, split: str) -> Path:
-        """The COCO file of a split."""
+        """Return the COCO file of a split."""
         return self.path / f"annotations/{split}.json"
 
     @property
     def data_yaml(self) -> Path:
-        """The file that describes the set to YOLO's trainers."""
+        """File that describes the set for YOLO's trainers."""
         return self.path / "data.yaml"
 
     @property
     def truth(self) -> Path:
-        """The truth table: a row for each marker."""
+        """Truth table, one row per marker."""
         return self.path / "truth.csv"
 
     @property
     def images(self) -> Path:
-        """The table of images: a row for each."""
+        """Table of images, one row per image."""
         return self.path / "images.csv"
 
     @property
     def preview(self) -> Path:
-        """The contact sheet of some images with their labels."""
+        """Contact sheet of some images with their labels."""
         return self.path / "preview.png"
 
 
 def open_folder(path: Path) -> Folder:
-    """Open the folder of a set that was made, or begun.
+    """Open the folder of a complete or an interrupted set.
 
     Raises:
         InputError: it has no record of a spec, or a damaged one.
@@ -111,7 +111,7 @@ def open_folder(path: Path) -> Folder:
 
 
 def same_version(path: Path) -> bool:
-    """Whether this version of skyherd made the set in a folder; others may draw other images.
+    """Return True if this version of skyherd made the set in a folder; others may draw other images.
 
     Raises:
         InputError: it has no record of a spec, or a damaged one.
@@ -121,11 +121,11 @@ def same_version(path: Path) -> bool:
 
 @contextmanager
 def open_output(path: Path, file: SpecFile) -> Iterator[tuple[Folder, OutputFolder]]:
-    """Open the folder of a set to write into it: a new one, or one that was begun from the same spec.
+    """Open the folder of a set for writing: a new folder, or one that was begun from the same spec.
 
     Raises:
-        InputError: it holds something else, or a file that would be replaced and was not made as a part of
-            the set; or another process writes into it.
+        InputError: it holds something else, or a file of the same name that is not part of the set; or
+            another process writes into it.
         OutputError: it cannot be made.
     """
     folder = Folder(path, file.spec)
@@ -155,7 +155,7 @@ def _contents(file: SpecFile) -> dict[str, Any]:
 
 
 def _check_same(path: Path, file: SpecFile) -> None:
-    """Refuse to put a set into the folder of another."""
+    """Raise an error if the folder holds another set, or something else."""
     advice = "choose another --out, or remove that folder"
     if not _record(path).exists():
         raise InputError(str(path), "is not the folder of a data set", advice)

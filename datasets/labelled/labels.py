@@ -1,4 +1,4 @@
-"""The labels of one image, rounded once, so that the truth table and all layouts agree to the digit."""
+"""Labels of one image, rounded once, so that the truth table and all formats have the same digits."""
 
 from dataclasses import dataclass
 
@@ -11,26 +11,26 @@ KEYPOINTS = ("front_left", "front_right", "back_right", "back_left", "center")
 """Keypoints of a marker: corners 0 to 3, the first two ahead, and the centre."""
 
 OUTSIDE, COVERED, SEEN = 0, 1, 2
-"""Visibility of a keypoint. *Defined* by COCO: 0 not in the image, 1 covered, 2 seen."""
+"""Visibility of a keypoint. Defined by COCO: 0 outside the image, 1 covered, 2 visible."""
 
 DIGITS = 9
-"""Decimals of all labels. *Chosen*: far below what can be measured; the rounding of doubles differs below
-it."""
+"""Decimals of all labels. Chosen: far below the accuracy of measurements, and above the rounding errors of
+doubles."""
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Exact truth about the N markers of an image that something is seen of.
+    """Ground truth of the N markers of an image that are at least partly visible.
 
     Attributes:
         ids: (N,) markers, ascending.
         centers_px: (N, 2) images of the markers' centres; an integer is a pixel centre.
         headings_deg: (N,) directions of the forward axes at the centres, from +u to +v.
         sides_px: (N,) `sqrt(|det J|)` of the map from marker sides to pixels, at the centre.
-        corners_px: (N, 4, 2) corners of the black squares, the first two ahead: left, right.
-        visible_fractions: (N,) shares of the black squares that are in the image and not covered.
-        visibilities: (N, 5) of the keypoints: 0 out of the image, 1 covered, 2 seen.
-        crb_stds: (N, 3) least standard deviations of u px, v px, heading deg (Cramér–Rao), as if wholly seen.
+        corners_px: (N, 4, 2) corners of the black squares, the two front ones first: left, right.
+        visible_fractions: (N,) fractions of the black squares that are in the image and not covered.
+        visibilities: (N, 5) of the keypoints: 0 outside the image, 1 covered, 2 visible.
+        crb_stds: (N, 3) Cramér–Rao standard deviations of u px, v px, heading deg, of wholly visible markers.
     """
 
     ids: IntArray
@@ -52,7 +52,7 @@ class Labels:
 
 
 def make_labels(scene: Scene) -> Labels:
-    """Make the labels of a scene: of the markers of which anything is seen in the image."""
+    """Make the labels of a scene's markers that are at least partly visible."""
     truth = scene.truth
     keep = truth.visible_fractions > 0
     stds = np.sqrt(np.diagonal(scene.bounds(), axis1=1, axis2=2)) * (1.0, 1.0, np.degrees(1.0))
@@ -69,7 +69,7 @@ def make_labels(scene: Scene) -> Labels:
 
 
 def _visibilities(scene: Scene) -> IntArray:
-    """(N, 5) of all markers' keypoints."""
+    """Return the visibilities (N, 5) of all markers' keypoints."""
     truth, size = scene.truth, np.array(scene.camera.size_px)
     points_px = np.concatenate([truth.corners_px, truth.centers_px[:, None]], axis=1)
     corners = corners_m(scene.positions_m, scene.headings_rad, 1.0)

@@ -1,7 +1,7 @@
-"""Makes a labelled image set, in parallel, and goes on with one that was interrupted.
+"""Generation of a labelled image set, in parallel; interrupted sets are continued.
 
-An image and its labels follow from spec and number alone. Images and labels that are there are left as they
-are, so that an interrupted set that is made again is the same to the byte.
+An image and its labels follow from spec and number alone. Existing images and labels are kept. A continued
+set is therefore identical to the byte.
 """
 
 from collections.abc import Iterator, Sequence
@@ -35,25 +35,25 @@ from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.messages.checks import check_kind
 
 BATCH = 8
-"""Most images that a worker is given at a time, all of one camera. *Chosen*: the ground of a camera takes as
-long to make as some images, which larger batches share; an interrupt waits for a batch to end."""
+"""Maximum number of images in a worker's batch, all of one camera. Chosen: rendering the ground of a camera
+takes as long as some images, and a batch shares it. An interrupt waits for the end of a batch."""
 
 Made = tuple[Labels, Row]
-"""An image's labels, and its row of the table of images."""
+"""Labels of an image, and its row of the table of images."""
 
 
 def make_dataset(file: SpecFile, path: Path, *, jobs: int = 1, progress: Progress = NO_PROGRESS) -> Dataset:
-    """Make the set that a spec describes, or go on with it, and read it back.
+    """Make the set that a spec describes, or continue it, and read it back.
 
     Args:
-        file: the spec, and where its pictures lie.
+        file: the spec with the folder of its pictures.
         path: the folder to make.
         jobs: number of processes.
-        progress: is given the number of images made after each batch.
+        progress: receives the number of finished images after each batch.
 
     Raises:
         InputError: the folder holds something else.
-        OutputError: something cannot be written.
+        OutputError: a file cannot be written.
     """
     check_kind("make_dataset: file", file, SpecFile, "a SpecFile, as load_spec returns it")
     check_kind("make_dataset: path", path, Path, "a path")
@@ -73,10 +73,10 @@ def make_dataset(file: SpecFile, path: Path, *, jobs: int = 1, progress: Progres
 
 
 def make_images(file: SpecFile, folder: Folder, indices: Sequence[int]) -> list[Made]:
-    """Write the images with the numbers given, and their YOLO labels, unless they are there.
+    """Write the images with the given numbers, and their YOLO labels, unless they exist.
 
     Returns:
-        The labels and the table row of each image, in their order.
+        The labels and the table row of each image, in the given order.
     """
     return [_make_image(file, folder, index) for index in indices]
 
@@ -93,7 +93,7 @@ def _make_image(file: SpecFile, folder: Folder, index: int) -> Made:
 
 
 def _run(file: SpecFile, folder: Folder, jobs: int) -> Iterator[tuple[list[int], list[Made]]]:
-    """Batches and what was made of them, in any order."""
+    """Yield each batch with its results, in any order."""
     batches = _batches(file)
     if jobs == 1:
         for batch in batches:
@@ -116,13 +116,13 @@ def _run(file: SpecFile, folder: Folder, jobs: int) -> Iterator[tuple[list[int],
 
 
 def _start_worker() -> None:
-    """Prepare a worker process: it ends with its parent, leaves an interrupt to it, and has one thread."""
+    """Prepare a worker process: it ends with its parent, ignores interrupts, and has one thread."""
     start_worker()
     cv2.setNumThreads(1)
 
 
 def _batches(file: SpecFile) -> list[list[int]]:
-    """Numbers of images, those of one camera together."""
+    """Return batches of image numbers, each of one camera."""
     stations = np.array([station_number(file.spec, index) for index in range(file.spec.images)])
     batches = []
     for station in np.unique(stations):
@@ -132,7 +132,7 @@ def _batches(file: SpecFile) -> list[list[int]]:
 
 
 def _write_tables(folder: Folder, made: dict[int, Made]) -> None:
-    """Write the files that are about the whole set."""
+    """Write the files about the whole set."""
     spec = folder.spec
     for split in folder.splits():
         images = [(i, folder.image(i).name, made[i][0]) for i in folder.indices(split)]

@@ -1,4 +1,4 @@
-"""A contact sheet of a labelled image set: some of its images, with their labels drawn on them."""
+"""Contact sheet of a labelled image set: some of its images, with their labels."""
 
 from pathlib import Path
 
@@ -16,36 +16,35 @@ from skyherd.messages import Detections
 from skyherd.messages.checks import check_count, check_kind
 
 COLUMNS, ROWS = 3, 3
-"""Images side by side and one above the other. *Chosen*: nine show the variety, and each is still large
-enough."""
+"""Number of columns and rows of images. Chosen: nine show the variety, and each is still large enough."""
 
 CELL_PX, GAP_PX, CAPTION_PX, FONT_PX = 600, 14, 26, 14
-"""Width of an image on the sheet, gaps between images, height of a caption, size of its text; px. *Chosen* by
+"""Width of an image on the sheet, gaps between images, height of a caption, and font size, px. Chosen by
 eye."""
 
 MAX_CELLS = 100
-"""Greatest number of columns, and of rows. *Chosen*: a sheet of as many images needs 2 GB."""
+"""Maximum number of columns, and of rows. Chosen: the largest sheet needs 2 GB."""
 
 Picture = npt.NDArray[np.uint8]
 """RGB image (height, width, 3)."""
 
 
 def write_preview(dataset: Dataset, path: Path) -> Path:
-    """Write the contact sheet of a set as PNG; returns its path.
+    """Write the contact sheet of a set as PNG, and return its path.
 
     Raises:
-        InputError: an image of the set is damaged or not there.
-        OutputError: it cannot be written.
+        InputError: an image of the set is damaged or missing.
+        OutputError: the sheet cannot be written.
     """
     sheet = PillowImage.fromarray(draw_preview(dataset))
     return write_whole(path, lambda part: sheet.save(part, format="PNG"))
 
 
 def draw_preview(dataset: Dataset, columns: int = COLUMNS, rows: int = ROWS) -> Picture:
-    """Draw a sheet (height, width, 3), RGB, of images evenly spread over the set, each with a caption below.
+    """Draw a sheet (height, width, 3), RGB, of images evenly spread over the set, with captions.
 
     Raises:
-        InputError: an image of the set is damaged or not there.
+        InputError: an image of the set is damaged or missing.
     """
     check_kind("draw_preview: dataset", dataset, Dataset, "a Dataset, as read_dataset returns it")
     check_count("draw_preview: columns", columns, least=1, most=MAX_CELLS)
@@ -65,7 +64,7 @@ def draw_preview(dataset: Dataset, columns: int = COLUMNS, rows: int = ROWS) -> 
 
 
 def _annotated(image: LabelledImage, cell: tuple[int, int]) -> Picture:
-    """The image in the size of a cell, with outlines, arrows and ids of its markers."""
+    """Draw an image in the size of a cell, with outlines, arrows and ids of its markers."""
     grey, labels = image.read(), image.labels
     scale = np.array(cell) / grey.shape[::-1]
     shrinks = scale[0] < 1
@@ -85,7 +84,7 @@ def _annotated(image: LabelledImage, cell: tuple[int, int]) -> Picture:
 
 
 def _caption(sheet: Picture, image: LabelledImage, at_px: tuple[float, float]) -> None:
-    """File and split in ink, how the image was taken in grey."""
+    """Write file and split in ink, and the imaging conditions in grey."""
     name = f"{image.path.name} ({image.split})"
     taken = {key: float(image.taken[key]) for key in ("psf_px", "noise", "motion_px")}
     tilt = np.hypot(float(image.taken["tilt_u_deg"]), float(image.taken["tilt_v_deg"]))

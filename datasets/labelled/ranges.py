@@ -1,4 +1,4 @@
-"""Ranges from which values are drawn: `[least, greatest]` in TOML, or one number if nothing varies."""
+"""Ranges from which values are drawn: `[least, greatest]` in TOML, or one number for a constant."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar, cast
@@ -24,7 +24,7 @@ def _pair(value: Any, check: ValidatorFunctionWrapHandler) -> Any:
         return check(value)
     try:
         return check((value, value))
-    except ValidationError as error:  # of both ends; one problem, of the number, is reported
+    except ValidationError as error:  # both ends have it; one problem of the number is reported
         first = error.errors(include_url=False)[0]
         context = dict(first.get("ctx", {}))
         if isinstance(context.get("error"), InputError):
@@ -40,7 +40,7 @@ def _ordered(pair: tuple[Any, Any]) -> tuple[Any, Any]:
 
 @dataclass(frozen=True)
 class _OneOrTwo:
-    """Tells the JSON schema that one number will do."""
+    """Annotation that allows one number in the JSON schema."""
 
     def __get_pydantic_json_schema__(self, core: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         pair = handler(core)
@@ -48,23 +48,23 @@ class _OneOrTwo:
 
 
 Span = Annotated[tuple[T, T], WrapValidator(_pair), AfterValidator(_ordered), _OneOrTwo()]
-"""A range of values of a type: a pair in ascending order; one number is taken as both."""
+"""Range of values of a type: a pair in ascending order; one number counts as both ends."""
 
 BELOW_NEXT = 1e-9
-"""By how much a draw of whole numbers ends below the number after the last. *Chosen*: keeps the rounding of
-the product from reaching that number; it changes the odds by as little."""
+"""Distance between the end of the range of `draw_integer` and the next integer. Chosen: rounding of the
+product cannot reach that integer, and the odds change by the same small amount."""
 
 
 def draw_number(rng: np.random.Generator, span: tuple[float, float]) -> float:
     """Draw a number uniformly from a range.
 
-    One random number is used even where the ends are equal, so that a range that is narrowed to one value
-    does not change the values drawn after it.
+    A constant uses one random number as well. Narrowing a range to one value therefore does not change later
+    draws.
     """
     check_kind("draw_number: rng", rng, np.random.Generator, "a numpy.random.Generator")
     return float(rng.uniform(0.0, 1.0) * (span[1] - span[0]) + span[0])
 
 
 def draw_integer(rng: np.random.Generator, span: tuple[int, int]) -> int:
-    """Draw a whole number from the first to the last of a range, each as likely."""
+    """Draw a whole number uniformly from a range, both ends included."""
     return int(np.floor(draw_number(rng, (span[0], span[1] + 1 - BELOW_NEXT))))

@@ -1,4 +1,4 @@
-"""Reads a labelled image set back: its images, and the truth about them."""
+"""Reader of labelled image sets: images and their ground truth."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ from skyherd.messages.checks import check_kind
 
 @dataclass(frozen=True)
 class LabelledImage:
-    """One image and the truth about it.
+    """Image with its ground truth.
 
     Attributes:
         name: the file, relative to the set's folder.
         path: the file.
         split: `train` or `val`.
-        labels: exact truth about its markers.
-        taken: how it was taken: the texts of its row in `images.csv`, by column.
+        labels: ground truth of its markers.
+        taken: imaging conditions: the texts of its row in `images.csv`, by column.
     """
 
     name: str
@@ -35,18 +35,18 @@ class LabelledImage:
         """Read the image: grey levels (height, width).
 
         Raises:
-            InputError: the file is damaged or not there.
+            InputError: the file is damaged or missing.
         """
         return read_grey(self.path)
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """A labelled image set: a sequence of its images, in the order of their numbers.
+    """Labelled image set: a sequence of its images, in the order of their numbers.
 
     Attributes:
         path: its folder.
-        spec: the spec that it was made from.
+        spec: the spec from which it was made.
         images: all images.
     """
 
@@ -70,10 +70,10 @@ class Dataset:
 
 
 def read_dataset(path: Path | str) -> Dataset:
-    """Read what `skyherd dataset make` left in a folder; images are read when they are asked for.
+    """Read the output folder of `skyherd dataset make`; `LabelledImage.read` reads the images later.
 
     Raises:
-        InputError: the folder has no labelled set, or a table of it is damaged or not there.
+        InputError: the folder has no labelled set, or one of its tables is damaged or missing.
     """
     check_kind("read_dataset: path", path, (str, Path), "a path")
     folder = open_folder(Path(path))

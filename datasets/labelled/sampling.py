@@ -1,6 +1,6 @@
-"""Draws scenes at random from a spec, each from seed and number alone.
+"""Random scenes from a spec, each from seed and number alone.
 
-Streams of random numbers are `[seed, use, number]`, so that an image is the same whoever makes it, and when.
+Random streams have the keys `[seed, use, number]`, so that an image does not depend on process or order.
 """
 
 from functools import lru_cache
@@ -26,23 +26,23 @@ from skyherd.random_streams import LabelledSetStream, generator
 from skyherd.render import Camera, CameraPose, Motion, homography_image_ground, project, undistort
 
 EXPOSURE_S = 0.01
-"""Exposure of images with motion blur, s. *Chosen*: the streak's length is asked for, and the camera's speed
-follows, so that the exposure cancels."""
+"""Exposure of images with motion blur, s. Chosen: arbitrary. The spec gives the length of the streak, and the
+camera's speed follows from it, so that the exposure cancels."""
 
 CANDIDATES = 60
-"""Random places tried for each marker. *Chosen*: fills images well; with fewer, more markers find no room."""
+"""Number of random positions tried per marker. Chosen: it fills images well."""
 
 
 def station_number(spec: DatasetSpec, index: int) -> int:
-    """Number of the camera that takes an image, given by its own number."""
+    """Return the number of the camera that takes an image, given by its number."""
     return int(generator(spec.seed, LabelledSetStream.IMAGE, index).integers(spec.cameras))
 
 
 @lru_cache(maxsize=64)
 def make_station(spec_json: str, number: int) -> Station:
-    """Draw one of the cameras of a set and the ground under it.
+    """Draw one of the cameras of a set and its ground.
 
-    The spec is given as JSON, by which the last 64 stations are kept.
+    The argument `spec_json` is hashable, so that the last 64 stations are cached.
     """
     spec = DatasetSpec.model_validate_json(spec_json)
     rng = generator(spec.seed, LabelledSetStream.CAMERA, number)
@@ -105,9 +105,9 @@ def make_scene(spec: DatasetSpec, index: int) -> Scene:
 
 
 def _draw_pose(spec: DatasetSpec, station: Station, rng: np.random.Generator) -> CameraPose:
-    """A pose at which a marker in the image's middle has the side asked for.
+    """Draw a pose at which a marker in the image's middle has a drawn side.
 
-    A tilt t shrinks it there by cos t for the distance and by sqrt(cos t) for the slant.
+    A tilt t reduces the side there by cos t for the distance, and by sqrt(cos t) for the slant.
     """
     side_px, tilt = draw_number(rng, spec.markers.side_px), np.radians(draw_number(rng, spec.camera.tilt_deg))
     toward, yaw = rng.uniform(-np.pi, np.pi, 2)
@@ -140,7 +140,7 @@ def _draw_sensor(model: SensorSpec, psf_px: float, rng: np.random.Generator) -> 
 
 
 def _draw_lens_blur(model: LensBlurSpec, pose: CameraPose, rng: np.random.Generator) -> LensBlurModel:
-    """Defocus and coma; the distance in focus is drawn as a share of the one to the image's middle."""
+    """Draw defocus and coma; the focus distance is relative to the distance of the image's middle."""
     disc, coma, aperture, focus = (draw_number(rng, span) for _, span in model)
     middle_m = pose.height_m / float(np.prod(np.cos(pose.tilt_rad)))
     return LensBlurModel(
@@ -153,7 +153,7 @@ def _draw_lens_blur(model: LensBlurSpec, pose: CameraPose, rng: np.random.Genera
 
 
 def _draw_processing(model: ProcessingSpec, rng: np.random.Generator) -> ProcessingModel:
-    """What the camera does to an image."""
+    """Draw the image processing of a camera."""
     names = ("red_gain", "blue_gain", "gamma", "s_curve", "denoise", "sharpen", "sharpen_px")
     values = {name: draw_number(rng, getattr(model, name)) for name in names}
     factor = draw_integer(rng, model.h264_crf or (0, 0))
@@ -165,7 +165,7 @@ def _draw_processing(model: ProcessingSpec, rng: np.random.Generator) -> Process
 def _draw_team(
     spec: DatasetSpec, camera: Camera, pose: CameraPose, rng: np.random.Generator
 ) -> tuple[IntArray, Array, Array]:
-    """Markers at random places of the image, as many of those asked for as fit without touching."""
+    """Draw markers at random positions of the image, as many of the drawn number as fit without contact."""
     model = spec.markers
     known = np.arange(dictionary_size(model.dictionary)) if model.ids is None else np.array(model.ids)
     count = draw_integer(rng, model.count)
@@ -183,13 +183,13 @@ def _draw_team(
 
 
 def _inside(camera: Camera, polygons_px: Array) -> BoolArray:
-    """Which polygons (N, K, 2) are wholly in the image (N,)."""
+    """Return the mask (N,) of the polygons (N, K, 2) that are wholly in the image."""
     limit = np.array(camera.size_px) - 0.5
     return np.asarray(((polygons_px >= -0.5) & (polygons_px <= limit)).all(axis=(1, 2)))
 
 
 def _choose_apart(places_m: Array, whole: BoolArray, cut: BoolArray, apart_m: float) -> IntArray:
-    """Indices of places that keep a distance, one for each of `cut`: cut by the border, or whole."""
+    """Choose indices of positions that keep a distance: one per item of `cut`, cut by the border or whole."""
     free = np.ones(len(places_m), dtype=bool)
     chosen: list[int] = []
     for wanted in cut:
@@ -203,7 +203,7 @@ def _choose_apart(places_m: Array, whole: BoolArray, cut: BoolArray, apart_m: fl
 def _draw_occluders(
     model: OccludersSpec, positions_m: Array, rng: np.random.Generator
 ) -> tuple[OccluderModel, ...]:
-    """Something over the rim of some of the markers: discs and squares, one as likely as the other."""
+    """Draw discs and squares, equally likely, over the rims of some of the markers."""
     made = []
     for place in positions_m:
         hit, square, toward, turn = rng.uniform(size=4) * (1.0, 1.0, 2 * np.pi, np.pi / 2)

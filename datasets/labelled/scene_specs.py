@@ -1,4 +1,4 @@
-"""What the cameras of a labelled image set look at: markers, the ground under them, and what lies on them."""
+"""Scenes of a labelled image set: markers, the ground under them, and occluders."""
 
 from typing import Annotated, Literal, Self
 
@@ -12,11 +12,11 @@ from skyherd.errors import InputError
 from skyherd.markers.dictionary import dictionary_size
 
 Side = Annotated[FiniteFloat, Field(ge=6, le=2000)]
-"""Side of a marker in the image, px. *Chosen*: 6 px is one a cell for the smallest dictionaries."""
+"""Side of a marker in the image, px. Chosen: 6 px is one a cell for the smallest dictionaries."""
 
 
 class MarkersSpec(Model):
-    """The markers of an image; all have one size on the ground, and no two cards touch."""
+    """The markers of an image; all have the same size on the ground, and no two cards touch."""
 
     dictionary: DictionaryName = Field(
         "4X4_50", description="marker dictionary, named as in `skyherd markers --help` or in OpenCV"
@@ -54,7 +54,7 @@ class MarkersSpec(Model):
 
 
 class GroundSpec(Model):
-    """The ground under the markers: one for each camera, with clutter that each image has of its own."""
+    """The ground under the markers: one for each camera, with individual clutter in each image."""
 
     kinds: list[Literal["plain", "concrete", "tiles"]] = Field(
         ["concrete"], description="kinds of ground; each is as likely as any other, and as any of `images`"

@@ -1,6 +1,6 @@
-"""The scene of one image of a set: it renders the image, and gives truth and bound of its markers.
+"""Scene of one image of a set: rendered image, ground truth, and Cramér–Rao bounds of its markers.
 
-The markers' sides are 1 m on the ground, so that metres are marker sides.
+A marker side is 1 m on the ground, so that metres are marker sides.
 """
 
 from collections.abc import Sequence
@@ -33,18 +33,18 @@ from skyherd.render import (
 )
 
 CLUTTER_SIDES = (0.4, 1.2)
-"""Least and greatest side of the clutter, marker sides. *Chosen*: such as could be taken for markers."""
+"""Minimum and maximum side of the clutter, marker sides. Chosen: similar to that of markers."""
 
 
 @dataclass(frozen=True)
 class Station:
-    """One of the cameras of a set, and the ground under it.
+    """One of the cameras of a set, and its ground.
 
     Attributes:
         number: the camera's number.
         camera: its intrinsics and lens.
         psf_px: standard deviation of its lens's blur.
-        ground: the ground under it.
+        ground: the ground below it.
         ground_seed: seed of the ground's texture.
     """
 
@@ -57,22 +57,22 @@ class Station:
 
 @dataclass(frozen=True)
 class Scene:
-    """What one image is of, and how it was taken.
+    """Content and imaging conditions of one image.
 
     Attributes:
         station: camera and ground.
-        pose: where the camera is.
+        pose: pose of the camera.
         dictionary: dictionary of the markers.
         black: grey level of the markers' black.
         white: grey level of their cards.
         ids: (N,) markers, ascending.
-        positions_m: (N, 2) their places on the ground, in marker sides.
+        positions_m: (N, 2) their positions on the ground, in marker sides.
         headings_rad: (N,) their headings, counter-clockwise from +x.
-        sensor: what the sensor does to the image.
-        motion_px: length of the streak that a point leaves.
-        motion: velocity of the camera, which leaves it.
-        clutter: about how many dark quadrilaterals are in the image.
-        occluders: what lies over markers.
+        sensor: model of the sensor.
+        motion_px: length of the motion streak of a point.
+        motion: velocity of the camera that causes the streak.
+        clutter: expected number of dark quadrilaterals in the image.
+        occluders: shapes over the markers.
         noise_key: seed of noise and clutter: the set's seed, the stream, the image's number.
     """
 
@@ -93,12 +93,12 @@ class Scene:
 
     @cached_property
     def camera(self) -> Camera:
-        """The camera: intrinsics and lens."""
+        """Camera: intrinsics and lens."""
         return self.station.camera.make()
 
     @cached_property
     def truth(self) -> FrameTruth:
-        """Exact truth about the markers, those outside the image as well."""
+        """Ground truth of all markers, including those outside the image."""
         return project_markers(
             self.camera,
             self.pose,
@@ -147,11 +147,12 @@ class Scene:
         )
 
     def bounds(self) -> Array:
-        """Cramér–Rao bound (N, 3, 3) on (u px, v px, heading rad) of each marker, as if wholly seen.
+        """Return the Cramér–Rao bound (N, 3, 3) on (u px, v px, heading rad) of wholly visible markers.
 
-        At the light that falls on its centre, shot noise taken at mid-grey, rounding included; a streak L px
-        long adds L² / 24 to the blur's variance, and defocus and coma theirs, in the markers' mean. Colour
-        filters take from what the raw pixels tell; what is done to these afterwards is left out.
+        The bound uses the light at the marker's centre, the shot noise at mid-grey, and the rounding noise. A
+        streak of L px adds L² / 24 to the variance of the blur. Defocus and coma add the mean of their
+        variances over the markers. Colour filters reduce the information of the raw pixels. Later processing
+        is not modelled.
         """
         sensor, truth = self.sensor, self.truth
         lens = sensor.lens_blur.make().variances_px2(self.camera, self.pose, truth.centers_px)
@@ -179,7 +180,7 @@ class Scene:
 
 @lru_cache(maxsize=2)
 def _floor(station: Station, folder: Path) -> Ground:
-    """The ground of a camera. The last two are kept: one takes long to make and much memory."""
+    """Make the ground of a camera. Two are cached, because one takes much time and memory."""
     image = station.ground.image
     return station.ground.make(
         station.ground_seed,
@@ -189,12 +190,12 @@ def _floor(station: Station, folder: Path) -> Ground:
 
 
 def corners_m(positions_m: Array, headings_rad: Array, side_m: float) -> Array:
-    """Corners (N, 4, 2) of squares on the ground, in the corner order of a marker.
+    """Return the corners (N, 4, 2) of squares on the ground, in the corner order of a marker.
 
     Args:
-        positions_m: (N, 2) their centres.
-        headings_rad: (N,) their headings, counter-clockwise from +x.
-        side_m: their side.
+        positions_m: (N, 2) centres.
+        headings_rad: (N,) headings, counter-clockwise from +x.
+        side_m: side of the squares.
     """
     offsets = side_m * ROBOT_FRAME_CORNERS * np.exp(1j * headings_rad)[:, None]
     return positions_m[:, None] + to_points(offsets)

@@ -1,7 +1,7 @@
-"""The spec of a labelled image set: read from TOML and checked, every key with its range.
+"""Spec of a labelled image set, read from TOML and validated.
 
-Every value that varies is a range, `[least, greatest]`, from which it is drawn uniformly, or one number.
-Lengths on the ground are in marker sides.
+Every variable is a range, `[least, greatest]`, with uniform distribution, or one number. Lengths on the
+ground are in marker sides.
 """
 
 from collections.abc import Mapping
@@ -27,19 +27,18 @@ from skyherd.files.reading import read_bytes
 from skyherd.markers.dictionary import card_side
 
 MAX_OBLIQUE_DEG = 80.0
-"""Largest angle between a ray of an image and the vertical, degrees. *Chosen*: at 80 the ground is six times
-as far as straight below; at 90 it is the horizon."""
+"""Maximum angle between a ray of an image and the vertical, deg. Chosen: at 80 deg the ground is six times as
+far as straight below; at 90 deg it is the horizon."""
 
 SPLIT_ROUNDING = 1e-9
-"""Added before cutting off decimals of a number of images. *Chosen*: makes up for the rounding of products
-such as `5 * 0.2`."""
+"""Added to a number of images before truncation. Chosen: above the rounding of products such as `5 * 0.2`."""
 
 Size = Annotated[int, Field(ge=64, le=8192)]
 """Width or height of an image, px."""
 
 
 class DatasetSpec(Model):
-    """The spec of a set: with the seed, all that each image follows from."""
+    """Spec of a set: all inputs of each image, with the seed."""
 
     description: str = Field("", description="purpose of the set")
     seed: Seed = Field(1, description="seed of all random draws")
@@ -74,7 +73,11 @@ class DatasetSpec(Model):
         return self
 
     def _extreme_lenses(self) -> list[DistortionModel]:
-        """A lens folds the image where a form that is linear in its coefficients turns negative."""
+        """Return the lenses at the ends of all ranges.
+
+        A lens folds the image where a form that is linear in its coefficients becomes negative. The extremes
+        of the form are therefore at these ends.
+        """
         spans = self.camera.distortion.model_dump()
         ends = product(*(sorted(set(span)) for span in spans.values()))
         return [DistortionModel(**dict(zip(spans, end, strict=True))) for end in ends]
@@ -84,7 +87,7 @@ class DatasetSpec(Model):
         return CameraModel(size_px=self.size_px, half_angle_deg=widest, distortion=lens).lens_problem(1.0)
 
     def is_validation(self, index: int) -> bool:
-        """Whether an image, given by its number, is kept for validation; such images are evenly spread."""
+        """Return True if an image, given by its number, is for validation; such images are evenly spread."""
         return int((index + 1) * self.validation + SPLIT_ROUNDING) > int(
             index * self.validation + SPLIT_ROUNDING
         )
@@ -92,13 +95,13 @@ class DatasetSpec(Model):
 
 @dataclass(frozen=True)
 class SpecFile:
-    """A checked spec, and the folder to which its pictures' names are relative."""
+    """Validated spec, and the base folder of its pictures."""
 
     spec: DatasetSpec
     folder: Path = Path()
 
     def pictures(self) -> dict[str, str]:
-        """SHA-256 of each picture that the spec names, since the images follow from these as well."""
+        """Return the SHA-256 of each picture in the spec; the images depend on these as well."""
         return {
             name: sha256(read_bytes(self.folder / name, "a picture", MAX_BYTES)).hexdigest()
             for name in self.spec.ground.images
@@ -106,24 +109,24 @@ class SpecFile:
 
 
 def spec_names() -> list[str]:
-    """Names of the built-in specs, in alphabetical order."""
+    """Return the names of the built-in specs, in alphabetical order."""
     return built_in_names(DATASET.package)
 
 
 def spec_text(name: str) -> str:
-    """TOML text of a built-in spec.
+    """Return the TOML text of a built-in spec.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: no built-in spec has that name.
     """
     return source_text(name, DATASET)
 
 
 def load_spec(name_or_file: str, *, seed: int | None = None, images: int | None = None) -> SpecFile:
-    """Read and check a built-in spec or a TOML file; `seed` and number of `images` are put over it if given.
+    """Read and validate a built-in spec or a TOML file; `seed` and `images` replace its values if given.
 
     Raises:
-        InputError: a line for each problem: the file or the option, the key, the value, and what is allowed.
+        InputError: one line per problem: the file or the option, the key, the value, and the allowed values.
     """
     source = read_source(name_or_file, DATASET)
     given = {key: value for key, value in {"seed": seed, "images": images}.items() if value is not None}
@@ -137,14 +140,14 @@ def load_spec(name_or_file: str, *, seed: int | None = None, images: int | None 
 def make_spec(
     tree: dict[str, Any], where: str = "dataset", *, origins: Mapping[str, str] | None = None
 ) -> DatasetSpec:
-    """Check a spec given as a tree of plain values.
+    """Validate a spec given as a tree of plain values.
 
     Args:
         tree: dictionaries, lists and plain values, as in a TOML file.
-        where: what to call it in a problem.
-        origins: options that gave values, by dotted key, to name them as the places of problems.
+        where: name of the spec in error messages.
+        origins: command-line options that set values, by dotted key; error messages name them.
 
     Raises:
-        InputError: a line for each problem: the key, the value, and what is allowed.
+        InputError: one line per problem: the key, the value, and the allowed values.
     """
     return check_tree(DatasetSpec, tree, where, see=DATASET.schema, origins=origins)

@@ -1,1 +1,1 @@
-"""Named formation shapes, and words that robots write."""
+"""Named formation shapes, and words written by robots."""

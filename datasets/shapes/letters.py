@@ -1,6 +1,6 @@
-"""Letters and digits as strokes: curves without corners between points where strokes end, turn or meet.
+"""Letters and digits as strokes: smooth curves between points where strokes end, turn or meet.
 
-Points are complex, x right and y up; letters stand on y = 0, are 1 high and as wide as they need.
+Points are complex, x right and y up. Letters stand on y = 0 and have height 1 and individual widths.
 """
 
 import numpy as np
@@ -8,11 +8,10 @@ import numpy as np
 from skyherd.geometry import ComplexArray
 
 DEGREES = 3.0
-"""Angle between two corners of the polyline that is an arc, degrees. *Chosen*: it is right to 0.0004 of the
-radius."""
+"""Angle between two vertices of the polyline of an arc, deg. Chosen: its error is 0.0004 of the radius."""
 
 JOINED = 1e-9
-"""Points of a curve nearer than this are one, in letter heights. *Chosen*: far above the rounding of
+"""Distance below which points of a curve count as one, letter heights. Chosen: far above the rounding of
 sines."""
 
 
@@ -21,20 +20,20 @@ def _line(*points: complex) -> ComplexArray:
 
 
 def _arc(center: complex, radii: tuple[float, float], span_deg: tuple[float, float]) -> ComplexArray:
-    """Part of an ellipse with radii along x and y, from angle to angle, counter-clockwise if they ascend."""
+    """Return an elliptic arc with radii along x and y; counter-clockwise if the angles ascend."""
     start_deg, end_deg = span_deg
     angles = np.radians(np.linspace(start_deg, end_deg, round(abs(end_deg - start_deg) / DEGREES) + 1))
     return np.asarray(center + radii[0] * np.cos(angles) + 1j * radii[1] * np.sin(angles))
 
 
 def _smooth(*parts: ComplexArray) -> ComplexArray:
-    """Parts that continue each other, as one curve."""
+    """Join consecutive parts into one curve."""
     joined = np.concatenate(parts)
     return np.asarray(joined[np.append(True, np.abs(np.diff(joined)) > JOINED)])
 
 
 def _eight(start_deg: float, end_deg: float) -> ComplexArray:
-    """Part of `x = 0.31 + 0.31 sin 2t, y = 0.5 + 0.5 cos t`, which crosses itself in the middle."""
+    """Return part of `x = 0.31 + 0.31 sin 2t, y = 0.5 + 0.5 cos t`, which crosses itself in the middle."""
     t = np.radians(np.linspace(start_deg, end_deg, round((end_deg - start_deg) / DEGREES) + 1))
     return np.asarray(0.31 + 0.31 * np.sin(2 * t) + 0.5j + 0.5j * np.cos(t))
 
@@ -157,5 +156,5 @@ STROKES: dict[str, tuple[ComplexArray, ...]] = {
     "8": (_eight(-90, 90), _eight(90, 270)),
     "9": tuple(0.64 + 1j - stroke for stroke in _SIX),
 }
-"""Strokes of each letter and digit, polylines (M,); strokes meet where their ends are one point. *Chosen* by
-eye; the names above are parts that several of them share."""
+"""Strokes of each letter and digit, polylines (M,). Strokes meet where their ends coincide. Chosen by eye;
+the names above are parts used by several strokes."""

@@ -1,4 +1,4 @@
-"""Named formation shapes: points (N, 2) in map sense, x right and y up, each shape in a unit of its own."""
+"""Named formation shapes: points (N, 2), x right and y up, each shape in its own unit of length."""
 
 from collections.abc import Callable
 
@@ -11,24 +11,24 @@ from skyherd.messages.checks import check_count, check_kind
 from skyherd.text import one_of
 
 STAR_INNER_RATIO = 0.515
-"""Inner over outer radius of the star. *Derived* from the paper's second simulation: 4.12 / 8."""
+"""Inner over outer radius of the star. Derived from the paper's second simulation: 4.12 / 8."""
 
 MIN_STAR = 6
-"""Robots of the smallest star. *Derived*: three tips and three notches; fewer make no star."""
+"""Minimum number of robots of a star. Derived: three tips and three notches."""
 
 
 MAX_POINTS = 10_000
-"""Most points of a shape. *Chosen*: as many as a scenario may have robots."""
+"""Maximum number of points of a shape. Chosen: the maximum number of robots of a scenario."""
 
 
 def circle(count: int) -> Array:
-    """`count` points, evenly spaced on a circle of radius 1, counter-clockwise from angle 0."""
+    """Return `count` points, evenly spaced on a circle of radius 1, counter-clockwise from angle 0."""
     angle = 2 * np.pi * np.arange(count) / count
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def star(count: int) -> Array:
-    """A star: tips at radius 1 and notches at `STAR_INNER_RATIO` in turn, counter-clockwise from angle 0.
+    """Return a star with tips at radius 1, notches at `STAR_INNER_RATIO`, counter-clockwise from angle 0.
 
     Raises:
         InputError: `count` is odd, or less than 6.
@@ -43,7 +43,7 @@ def star(count: int) -> Array:
 
 
 def grid(count: int) -> Array:
-    """A grid of spacing 1 about its middle, filled row by row, as near to a square as `count` divides."""
+    """Return a centred grid of spacing 1, filled row by row, as square as the divisors of `count` allow."""
     columns = next(c for c in range(int(np.ceil(np.sqrt(count))), count + 1) if count % c == 0)
     index = np.arange(count)
     points: Array = np.column_stack([index % columns, index // columns]).astype(float)
@@ -51,15 +51,15 @@ def grid(count: int) -> Array:
 
 
 def line(count: int) -> Array:
-    """`count` points along x, spacing 1, about their middle."""
+    """Return `count` points along x with spacing 1, centred."""
     return np.column_stack([np.arange(count) - (count - 1) / 2, np.zeros(count)])
 
 
 def triangle(count: int) -> Array:
-    """Evenly spaced along an equilateral triangle of side 2, with a robot at each corner.
+    """Return points evenly spaced along an equilateral triangle of side 2, with one at each corner.
 
     Raises:
-        InputError: `count` is no multiple of 3.
+        InputError: `count` is not a multiple of 3.
     """
     if count % 3:
         raise InputError("template.shape", f"a triangle of {count} robots", "a multiple of 3")
@@ -80,11 +80,11 @@ SHAPES: dict[str, Callable[[int], Array]] = {
 
 
 def shape_points(name: str, count: int) -> Array:
-    """Points (N, 2), x right and y up, of a named shape, or of a word such as `word:SKY`, for `count` robots.
+    """Return the points (N, 2), x right and y up, of a named shape or of a word such as `word:SKY`.
 
     Raises:
-        InputError: there is no such shape, or not for so many robots, or `count` is no whole number up to
-            MAX_POINTS; the error says what there is.
+        InputError: the shape does not exist, or not for this number of robots; or `count` is not a whole
+            number up to `MAX_POINTS`. The error lists the allowed values.
     """
     check_kind("template.shape", name, str, "a text")
     check_count("template.shape: count", count, most=MAX_POINTS)

@@ -1,7 +1,7 @@
-"""Words as formation shapes: robots spread along the strokes of letters.
+"""Words as formation shapes: robots distributed along the strokes of letters.
 
-Strokes (`skyherd.datasets.shapes.letters`) only meet at their ends. A robot stands at each end; Webster's
-rule shares the rest out among the strokes, by which spacings differ least from their mean.
+Strokes (`skyherd.datasets.shapes.letters`) meet only at their ends. One robot stands at each end. Webster's
+rule distributes the others among the strokes. It minimizes the deviation of the spacings from their mean.
 """
 
 from dataclasses import dataclass
@@ -15,34 +15,33 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array, ComplexArray, to_points
 
 PREFIX = "word:"
-"""What the name of a shape that is a word begins with."""
+"""Prefix of the name of a shape that is a word."""
 
 GAP = 0.42
-"""Room between two letters, in heights. *Chosen*: wider than the gaps between robots, so that letters stay
-apart."""
+"""Gap between two letters, letter heights. Chosen: wider than the gaps between robots, so that letters are
+distinct."""
 
 TURN_DEG = 62.0
-"""A curve has a robot at least every so many degrees of its turn. *Chosen*: rings get six robots or more, and
-look round."""
+"""Maximum turn of a curve between two robots, deg. Chosen: rings get six robots or more and look round."""
 
 REACH = 0.75
-"""A stroke has a robot at least every so many heights. *Chosen*: a letter's full height has one between its
-ends, so that it looks like a line."""
+"""Maximum length of stroke between two robots, letter heights. Chosen: a stroke of full height has a robot
+between its ends, so that it looks like a line."""
 
 MIN_SPACING = 0.6
-"""Least distance of two robots, in mean distances between neighbours on a stroke. *Chosen*: nearer ones would
-read as a joint, or collide."""
+"""Minimum distance of two robots, in mean distances between neighbours on a stroke. Chosen: nearer robots
+would look like a joint, or collide."""
 
 MAX_LETTERS = 40
-"""Letters of the longest word. *Chosen*: longer texts are mistakes, and would take long to try."""
+"""Maximum number of letters of a word. Chosen: longer texts are mistakes, and slow to try."""
 
 MAX_MORE = 1000
-"""By how many more robots a word is tried for the error that says how many it takes. *Chosen*: forty letters
-take fewer, and all are tried in a second."""
+"""Maximum number of additional robots tried for the error that states the required number. Chosen: forty
+letters take fewer, and all are tried in one second."""
 
 MET = 1e-6
-"""Ends of strokes nearer than this are one point, in heights. *Chosen*: far above the rounding of arcs, far
-below a letter."""
+"""Distance below which ends of strokes count as one point, letter heights. Chosen: far above the rounding
+of arcs, far below a letter."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ class Stroke:
 
     Attributes:
         curve: (M,) points of the polyline, `x + iy`, in letter heights.
-        ends: numbers of the joints at which it begins and ends.
+        ends: indices of the joints at which it begins and ends.
     """
 
     curve: ComplexArray
@@ -64,29 +63,27 @@ class Stroke:
 
     @property
     def min_parts(self) -> int:
-        """Least number of parts into which robots cut it, by `TURN_DEG` and `REACH`."""
+        """Minimum number of parts into which robots divide it, by `TURN_DEG` and `REACH`."""
         turns = np.angle(np.diff(self.curve)[1:] / np.diff(self.curve)[:-1])
         return int(np.ceil(max(np.degrees(np.abs(turns).sum()) / TURN_DEG, self.length / REACH)))
 
     def cut(self, parts: int) -> ComplexArray:
-        """The points (parts - 1,), `x + iy`, that cut it into parts of equal length."""
+        """Return the points (parts - 1,), `x + iy`, that divide it into parts of equal length."""
         along = np.append(0.0, np.cumsum(np.abs(np.diff(self.curve))))
         at = along[-1] * np.arange(1, parts) / parts
         return np.asarray(np.interp(at, along, self.curve.real) + 1j * np.interp(at, along, self.curve.imag))
 
 
 def word_points(text: str, count: int) -> Array:
-    """Points (N, 2), x right and y up, of `count` robots that write a word, in writing order.
+    """Return the points (N, 2), x right and y up, of robots that write a word, in writing order.
 
-    Letters are 1 high.
-
-    Robots stand wherever a stroke ends, turns sharply or meets another, and share out the rest of the
-    strokes as evenly as whole numbers allow: the next robot goes to the stroke whose length over
-    `parts + 1/2` is greatest (Webster's rule, by which parts differ least from their mean).
+    Letters have height 1. One robot stands wherever a stroke ends, turns sharply or meets another. The others
+    are distributed by Webster's rule: the next robot goes to the stroke with the largest length over
+    `parts + 1/2`. This minimizes the deviation of the parts from their mean.
 
     Raises:
-        InputError: the text is empty, too long or has other signs than A-Z and 0-9, or the robots are too
-            few.
+        InputError: the text is empty, too long or has characters other than A-Z and 0-9, or there are too few
+            robots.
     """
     if not text or len(text) > MAX_LETTERS or not set(text) <= set(STROKES):
         what = f"no shape {PREFIX + text!r}"
@@ -102,7 +99,7 @@ def word_points(text: str, count: int) -> Array:
 
 
 def _strokes(text: str) -> tuple[list[Stroke], ComplexArray]:
-    """Strokes of a word, and the points where they begin and end."""
+    """Return the strokes of a word, and the points where they begin and end."""
     curves, joints, left = [], np.zeros(0, dtype=np.complex128), 0.0
     for letter in text:
         curves += [curve + left for curve in STROKES[letter]]
@@ -119,7 +116,7 @@ def _strokes(text: str) -> tuple[list[Stroke], ComplexArray]:
 
 
 def _spread(strokes: list[Stroke], joints: ComplexArray, count: int) -> ComplexArray | None:
-    """Points (N,) of so many robots in writing order, or None if they are too few or stand too close."""
+    """Return points (N,) of the robots in writing order, or None if they are too few or too close."""
     parts = [stroke.min_parts for stroke in strokes]
     spare = count - joints.size - sum(parts) + len(parts)
     if spare < 0:

@@ -63,7 +63,7 @@ PER_SIGMA = (SAMPLES / 2 - 1) / REACH
 
 @lru_cache(maxsize=64)
 def edge_spread(psf_px: float) -> EdgeSpread:
-    """The edge spread of a lens whose blur has the standard deviation `psf_px`, px.
+    """Return the edge spread of a lens whose blur has the standard deviation `psf_px`, px.
 
     By Gauss-Legendre quadrature over the pixel's square. Tables of the last 64 lenses are kept.
     """

@@ -1,4 +1,4 @@
-"""`skyherd detect`, in process: files, output and refused input."""
+"""`skyherd detect`, in process: what it leaves, says and refuses."""
 
 import csv
 import json
@@ -129,7 +129,7 @@ def test_detect_prints_reason_without_detections(here, capsys) -> None:
 
 def test_rejections_have_number_position_and_remedy(here, capsys) -> None:
     image = sheet()
-    small = cv2.resize(image, None, fx=0.16, fy=0.16, interpolation=cv2.INTER_AREA)
+    small = cv2.resize(image, None, fx=0.12, fy=0.12, interpolation=cv2.INTER_AREA)
     image = np.full((240, 340), 140, np.uint8)
     image[100 : 100 + small.shape[0], 100 : 100 + small.shape[1]] = small
     image[180:220, 250:290] = 30  # and a dark patch that is no marker

@@ -1,4 +1,4 @@
-"""Lab files: valid examples, and errors in one line that names the key."""
+"""Lab files: built-in labs are valid, and each error is one line that names the key."""
 
 import tomllib
 from pathlib import Path
@@ -17,7 +17,7 @@ from skyherd.sim.robot_teams import make_avoidance
 
 @pytest.fixture
 def webcams(tmp_path) -> Path:
-    """Return the built-in lab with webcams as a user's file."""
+    """Return a file with a copy of the built-in lab `webcams`."""
     file = tmp_path / "lab.toml"
     file.write_text(lab_text("webcams"), encoding="utf-8")
     return file
@@ -25,7 +25,7 @@ def webcams(tmp_path) -> Path:
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("name", lab_names())
-def test_examples_are_valid_and_on_loopback(name) -> None:
+def test_built_in_labs_are_valid_and_stay_on_loopback(name) -> None:
     lab = load_lab(name)
     assert lab.model.radio.is_loopback and lab.model.radio.is_secured
     for unit in range(len(lab.model.cameras)):
@@ -60,7 +60,7 @@ def test_points_belong_to_robots_in_the_order_of_the_file() -> None:
         ("radio.speed=3", "unknown key"),
     ],
 )
-def test_wrong_values_are_reported_in_one_line(setting, complaint) -> None:
+def test_wrong_values_are_one_line(setting, complaint) -> None:
     with pytest.raises(InputError, match=complaint) as refusal:
         load_lab("webcams", [setting])
     assert "\n" not in str(refusal.value)
@@ -89,7 +89,7 @@ def test_wrong_values_are_reported_in_one_line(setting, complaint) -> None:
     ],
 )
 def test_wrong_setting_of_a_lab_names_option_and_what_is_allowed(webcams, setting, line) -> None:
-    """A problem of two keys names the file, even if an option set one of them."""
+    """A problem of two keys, of which the option gave one, names the file."""
     with pytest.raises(InputError) as refusal:
         load_lab(str(webcams), [setting])
     said = str(refusal.value).replace(str(webcams), "webcams.toml")
@@ -109,7 +109,7 @@ def test_all_problems_of_a_lab_are_reported_together(webcams) -> None:
     assert {line.partition(":")[0] for line in lines[2:]} >= {"markers.dictionary", "limits.max_speed_mps"}
 
 
-def test_lab_checks_report_all_problems(webcams) -> None:
+def test_checks_of_a_lab_report_all_problems_together(webcams) -> None:
     wrong = ["robots.0.id=999", "cameras.0.detector=trackin", "team='a b'", "robots.1.driver=foo"]
     with pytest.raises(InputErrors) as refusal:
         load_lab(str(webcams), wrong)
@@ -140,7 +140,7 @@ def test_lab_checks_report_all_problems(webcams) -> None:
         ("ros2:///cmd_vel?type=Pose", "Twist or TwistStamped"),
     ],
 )
-def test_invalid_driver_is_refused_with_its_key(webcams, address, words) -> None:
+def test_invalid_driver_is_refused_by_every_reader_of_a_lab(webcams, address, words) -> None:
     for entry in ("robots.1", "cameras.1"):
         with pytest.raises(InputError) as refusal:
             load_lab(str(webcams), [f"{entry}.driver='{address}'"])
@@ -161,11 +161,11 @@ def test_invalid_driver_is_refused_with_its_key(webcams, address, words) -> None
         "module_on_another_machine:factory=TEXT",
     ],
 )
-def test_loading_does_not_import_or_open_drivers(address) -> None:
+def test_driver_of_another_machine_is_accepted_unopened(address) -> None:
     assert load_lab("webcams", [f"robots.1.driver='{address}'"]).model.robots[1].driver == address
 
 
-def test_check_imports_custom_factories(capsys, tmp_path, monkeypatch) -> None:
+def test_check_imports_custom_factories_without_a_call(capsys, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "wheels_to_check.py").write_text("def make(robot_id, text): raise RuntimeError\n")
@@ -179,7 +179,7 @@ def test_check_imports_custom_factories(capsys, tmp_path, monkeypatch) -> None:
         assert code == 2 and not out and f"webcams: robots.0.driver: {address}: " in err and words in err
 
 
-def test_team_name_may_have_any_letters() -> None:
+def test_team_name_may_have_non_ascii_letters() -> None:
     assert load_lab("webcams", ["team='ü-2_b'"]).model.team == "ü-2_b"
 
 
@@ -199,7 +199,7 @@ FILES = {"authority": "a.pem", "certificate": "c.pem", "key": "k.pem"}
         ({"connect": ["tcp/127.0.0.1.evil.net:7450"]}, False),
     ],
 )
-def test_radio_beyond_loopback_needs_tls_or_insecure(radio, secured) -> None:
+def test_remote_radio_needs_certificates_or_consent(radio, secured) -> None:
     places = LabRadio(**radio)
     assert places.is_secured is secured
     places.check(insecure=True)
@@ -248,7 +248,7 @@ class TestBodies:
         assert rule.bearing_error_rad == pytest.approx(1.5 * (0.25 + 0.05))
         assert rule.superseded_age_s == 0.0
 
-    def test_default_brakes_are_the_acceleration_limit(self) -> None:
+    def test_brakes_left_out_are_the_acceleration_limit(self) -> None:
         rule = load_lab("webcams", [*self.ON, "limits.max_accel_mps2=0.1"]).make_avoidance()
         assert rule is not None and rule.lag_s == pytest.approx(0.15 / 0.1)
 
@@ -282,6 +282,6 @@ class TestBodies:
         with pytest.raises(InputError) as refusal:
             load_lab(str(webcams), settings)
         place = line.replace("obstacles.", "obstacles: ")
-        # A default that is invalid because of another key is reported with the file's name.
+        # An error of a default value, caused by another key, names the file.
         assert str(refusal.value).startswith((f"--set {place}", f"{webcams}: {place}"))
         assert "\n" not in str(refusal.value)

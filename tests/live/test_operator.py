@@ -274,8 +274,8 @@ class TestSession:
         assert heard and all(envelope.latch.stopped for envelope in heard)
 
 
-def test_silent_robot_is_reported_from_reports_of_units() -> None:
-    """The operator has just started. A unit, whose clock is 50 s ahead, heard the robot 2 s ago."""
+def test_silent_robot_is_reported_with_news_of_units() -> None:
+    """The operator has just started. A unit, whose clock is 50 s ahead, heard the robot 2 s before."""
     team = ScriptedTeam()
     team.robots[0].frozen = True
     clock = lambda: team.now_s + 50.0  # noqa: E731

@@ -102,7 +102,7 @@ class TestInstances:
         assert len(instances.former) == MAX_FORMER
 
 
-def test_clock_within_its_uncertainty_of_the_limit_is_trusted() -> None:
+def test_uncertainty_counts_in_favour_of_a_clock_near_its_limit() -> None:
     """An offset of 0.96 s known to 0.08 s may be within the limit of 1 s, and one of 1.04 s may be too."""
     assert compared(0.96, 0.08).distrust("unit/0", 100.3) is None
     assert compared(1.04, 0.08).distrust("unit/0", 100.3) is None

@@ -18,7 +18,7 @@ from skyherd.live.supervisor import Child, Supervisor
 
 @pytest.fixture(autouse=True)
 def own_locks(monkeypatch, tmp_path) -> None:
-    """Give each test its own lock folder, since parallel tests use the same example lab."""
+    """Use a separate lock folder, since parallel tests run the same built-in lab."""
     monkeypatch.setattr("skyherd.live.name_locks.lock_folder", lambda: tmp_path / "locks")
 
 

@@ -64,18 +64,18 @@ class TestArmState:
         assert ArmState(StopLatch(stop=7)).arm(7).armed
 
 
-def test_largest_stop_number_is_exact_as_a_double() -> None:
+def test_largest_stop_number_is_exact_in_json() -> None:
     assert int(float(MAX_STOP)) == MAX_STOP
     assert int(float(MAX_STOP + 2)) != MAX_STOP + 2
 
 
-def test_stop_number_is_the_time_in_milliseconds() -> None:
+def test_stop_number_is_the_time_of_day_in_milliseconds() -> None:
     assert StopLatch(stop=0, cleared=0) == NO_COMMAND
     assert NO_COMMAND.with_stop(1_700_000_000.25).stop == 1_700_000_000_250
     assert StopLatch(stop=5, cleared=9).with_stop(0.0).stop == 10
 
 
-def test_disarming_starts_a_new_session() -> None:
+def test_each_disarming_begins_a_new_session() -> None:
     state, counts = ArmState(), []
     for _ in range(5):
         state = state.arm(0).disarm()

@@ -1,4 +1,4 @@
-"""Radio over TLS with client certificates: processes without one can neither send nor receive."""
+"""Radio over TLS with client certificates: it excludes processes without a certificate of the team."""
 
 import datetime
 import ipaddress
@@ -27,7 +27,7 @@ def name(text):
 
 
 def make_authority(folder, who):
-    """Return the name and key of a new authority, and write its certificate."""
+    """Write the certificate of a new authority, and return its name and its key."""
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = (
         _certificate(who, who, key)
@@ -76,7 +76,7 @@ def folder(tmp_path):
 
 
 @pytest.mark.slow
-def test_only_members_with_certificates_exchange_messages(folder) -> None:
+def test_tls_members_communicate_and_strangers_do_not(folder) -> None:
     pytest.importorskip("zenoh")
     from skyherd.live.zenoh_radio import ZenohRadio
 
@@ -97,7 +97,7 @@ def test_only_members_with_certificates_exchange_messages(folder) -> None:
     try:
         join("a", listen=[place])
         join("b")
-        join("stranger")  # signed by another authority
+        join("stranger")  # Another authority signed its certificate.
         join("naked", certified=False)
         wait_for(lambda: (all_speak(), {b"b"} <= set(heard["a"]) and {b"a"} <= set(heard["b"]))[1], "members")
         for _ in range(40):
@@ -106,7 +106,7 @@ def test_only_members_with_certificates_exchange_messages(folder) -> None:
     finally:
         for radio in radios.values():
             radio.close()
-    # A process also receives its own messages.
+    # A process hears itself as well.
     assert set(heard["a"]) == set(heard["b"]) == {b"a", b"b"}
     assert set(heard["stranger"]) <= {b"stranger"} and set(heard["naked"]) <= {b"naked"}
 
@@ -125,7 +125,7 @@ print("listening", flush=True)
 sys.stdin.read()
 radio.close()
 """
-"""Program that prints received messages until its input ends."""
+"""Process that prints received messages until its input ends."""
 
 SPEAKER = """
 import json, select, sys, time
@@ -145,7 +145,7 @@ while not select.select([sys.stdin], [], [], 0.1)[0]:  # until its input ends
     radio.publish("skyherd/t/heartbeat/" + sys.argv[3], sys.argv[3].encode())
 radio.close()
 """
-"""Program that publishes its name, and prints the received names once there are three."""
+"""Process that sends messages, and prints all senders after it has heard three."""
 
 LISTEN_STATE = "0A"
 """State of a listening socket in /proc/net/tcp. Defined by Linux."""
@@ -230,7 +230,7 @@ def test_client_without_certificate_delivers_on_no_port(folder, listens, certifi
 
 
 @pytest.mark.slow
-def test_three_tls_processes_share_one_port(folder) -> None:
+def test_three_tls_processes_share_one_port_and_hear_each_other(folder) -> None:
     pytest.importorskip("zenoh")
     place = f"tls/127.0.0.1:{free_port()}"
     places = json.dumps({"listen": [place], "connect": [place], **FILES})
@@ -262,7 +262,7 @@ def test_three_tls_processes_share_one_port(folder) -> None:
         ),
     ],
 )
-def test_plain_address_with_certificates_is_refused(tmp_path, places, words) -> None:
+def test_plain_place_beside_certificates_is_refused(tmp_path, places, words) -> None:
     from skyherd.live.zenoh_radio import ZenohRadio
 
     with pytest.raises(InputError, match=words):

@@ -1,4 +1,4 @@
-"""Recording of a killed world: at most half a second is lost."""
+"""Recording of a simulated world: a killed process loses at most half a second."""
 
 import io
 from types import SimpleNamespace
@@ -12,11 +12,11 @@ from skyherd.recording.mcap_log import FLUSH_S
 from skyherd.recording.survey import survey
 
 BEGIN_S = 1000.0
-"""Time of the clock at the first step."""
+"""Time of the clock at the first step, s."""
 
 
 def make_world(path, speed: float) -> tuple[WorldProcess, list[float]]:
-    """Return a world without cameras and incoming messages, and the settable time of its clock."""
+    """Return a world without cameras and received messages, and the time of its clock as a list of one."""
     now_s = [BEGIN_S]
     mission = load_mission("triangle", ["perception=ideal", "duration_s=60"])
     silent = SimpleNamespace(fetch=lambda: [])
@@ -25,7 +25,7 @@ def make_world(path, speed: float) -> tuple[WorldProcess, list[float]]:
 
 @pytest.mark.parametrize("speed", [0.1, 1.0, 3.0])
 def test_killed_world_loses_at_most_half_a_second(tmp_path, speed) -> None:
-    """SIGKILL leaves the data written to the operating system, which the test reads after each step."""
+    """The file after each step is read like the one after SIGKILL, which keeps all data written to it."""
     path = tmp_path / "world.mcap"
     world, now_s = make_world(path, speed)
     assert [chunk.after for chunk in survey(io.BytesIO(path.read_bytes())).chunks] == [1]
@@ -41,7 +41,7 @@ def test_killed_world_loses_at_most_half_a_second(tmp_path, speed) -> None:
     world.close()
 
 
-def test_clock_that_goes_back_writes_a_chunk(tmp_path) -> None:
+def test_clock_that_goes_back_loses_nothing_more(tmp_path) -> None:
     path = tmp_path / "world.mcap"
     world, now_s = make_world(path, 1.0)
     world.step()

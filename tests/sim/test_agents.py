@@ -1,4 +1,4 @@
-"""The controllers of a mission's units: what dies with a unit, and what does not."""
+"""Controllers of a mission's units: the state lost with a unit, and the state that remains."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from skyherd.sim.robot_teams import make_avoidance
 
 @pytest.fixture
 def made() -> list[int]:
-    """Units for which a controller was made, in the order of making."""
+    """Return the units for which a controller was made, in the order of making."""
     return []
 
 
@@ -25,8 +25,8 @@ def agents(made) -> UnitAgents:
 
 
 @pytest.mark.smoke
-def test_a_unit_that_died_knows_nothing_and_is_made_anew_once(agents, made, make_detections) -> None:
-    """However long it is dead: an outage of ten seconds is a hundred steps."""
+def test_dead_unit_gets_one_new_controller_without_memory(agents, made, make_detections) -> None:
+    """This holds for any duration of the outage: ten seconds are a hundred steps."""
     points = 200 + 100 * np.exp(2j * np.pi * np.arange(5) / 5)
     agents.decide(make_detections(range(5), points, unit_id=1), [])
     before, others = agents.controllers[1], [agents.controllers[unit] for unit in (0, 2)]
@@ -38,7 +38,7 @@ def test_a_unit_that_died_knows_nothing_and_is_made_anew_once(agents, made, make
     assert [agents.controllers[unit] for unit in (0, 2)] == others
 
 
-def test_a_unit_that_dies_again_is_made_anew_again(agents, made, make_detections) -> None:
+def test_unit_gets_a_new_controller_after_each_failure(agents, made, make_detections) -> None:
     for _ in range(2):
         agents.decide(make_detections([0, 1], [100 + 100j, 300 + 100j], unit_id=1), [])
         agents.lose(1)
@@ -46,7 +46,7 @@ def test_a_unit_that_dies_again_is_made_anew_again(agents, made, make_detections
 
 
 def test_robots_count_on_the_slowest_units_messages() -> None:
-    """Latency and time between two images of the unit with the greatest sum, and the least latency of all."""
+    """The ages are the maximum of latency plus image interval, and the minimum latency plus one interval."""
     settings = ["units.0.latency_s=0.3", "units.1.frame_rate_hz=2.0", "units.2.latency_s=0.1"]
     rule = make_avoidance(load_mission("star", settings).scenario)
     assert rule.nominal_age_s == pytest.approx(max(0.3 + 0.1, 0.0 + 0.5, 0.1 + 0.1))
@@ -54,9 +54,9 @@ def test_robots_count_on_the_slowest_units_messages() -> None:
 
 
 def test_the_radio_of_a_dead_unit_forgets() -> None:
-    """Units 0 and 1 die; unit 0 comes back, and knows nothing of what unit 1 said before.
+    """Units 0 and 1 die; unit 0 returns, without the earlier reports of unit 1.
 
-    Only the loop has the radio forget: the unit's controller is a new one anyhow.
+    Only the loop clears the reports of the radio: the unit's controller is a new one in any case.
     """
     received: dict[float, list[tuple[int, float]]] = {}
 

@@ -1,4 +1,4 @@
-"""Laws from the literature: what their papers prove of them, and robots that follow them."""
+"""Laws from the literature: properties proven in their papers, and robots that follow them."""
 
 from pathlib import Path
 
@@ -23,8 +23,8 @@ SIMILAR, AFFINE = ("complex-laplacian", "matrix-weighted"), ("affine-modules", "
 BEARINGS = ("bearing-only", "bearings-with-ranges")
 LINEAR = (*SIMILAR, *AFFINE, "bearings-with-ranges")
 FREE = dict.fromkeys(SIMILAR, 4) | dict.fromkeys(AFFINE, 6) | dict.fromkeys((*BEARINGS, "distances"), 3)
-"""Dimensions of the shapes that a law takes for formed: similar ones; affine ones; translated and larger
-ones; translated and turned ones."""
+"""Dimensions of the equilibria of a law: similar shapes; affine shapes; translated and scaled ones;
+translated and rotated ones."""
 
 
 def cloud(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -36,7 +36,7 @@ def real(points: np.ndarray) -> np.ndarray:
 
 
 def moved(points: np.ndarray, matrix: np.ndarray, by: complex = 0.3 - 2.0j) -> np.ndarray:
-    """The points mapped by a real 2 x 2 matrix, and moved."""
+    """Map points by a real 2 x 2 matrix, and translate them."""
     x, y = matrix @ np.stack([points.real, points.imag])
     return x + 1j * y + by
 
@@ -60,11 +60,11 @@ ADMITTED = {
     **{method: {"translated", "larger"} for method in BEARINGS},
     "distances": {"translated", "turned", "mirrored"},
 }
-"""Maps that take the shape to one that a law takes for formed, and how a law is the same in another frame."""
+"""Maps from the shape to other equilibria of a law, which are also its symmetries."""
 
 
 def jacobian(law, shape: np.ndarray, step: float = 1e-6) -> np.ndarray:
-    """Of a law at a shape, by central differences, (2 N, 2 N)."""
+    """Return the Jacobian (2 N, 2 N) of a law at a shape, by central differences."""
     columns = []
     for column in range(2 * shape.size):
         off = np.zeros(shape.size, dtype=complex)
@@ -85,8 +85,8 @@ def test_every_law_of_scenario_files_is_there() -> None:
 
 @pytest.mark.parametrize("name", MAPS)
 @pytest.mark.parametrize("method", LAWS)
-def test_what_a_law_takes_for_formed_stands_still_and_nothing_else(method, name) -> None:
-    """At a distance from the shape of about its size, speeds are then of the size of the rate times it."""
+def test_law_stands_still_only_at_its_equilibria(method, name) -> None:
+    """At a distance of about the shape's size, speeds have the magnitude of the rate times this distance."""
     shape = cloud(np.random.default_rng(1), 11)
     fastest = np.abs(LAWS[method].make(shape, GAIN)(moved(shape, MAPS[name]))).max()
     if name in ADMITTED[method]:
@@ -96,8 +96,8 @@ def test_what_a_law_takes_for_formed_stands_still_and_nothing_else(method, name)
 
 
 @pytest.mark.parametrize("method", LAWS)
-def test_the_fastest_mode_has_the_rate_k_and_all_but_the_free_ones_die_out(method) -> None:
-    """The linearisation at the shape; differences err by 1e-10, values of a triangular matrix by more."""
+def test_fastest_mode_has_rate_k_and_only_free_modes_persist(method) -> None:
+    """Linearisation at the shape; differences err by 1e-10, eigenvalues of a triangular matrix by more."""
     shape = cloud(np.random.default_rng(4), 9)
     values = np.sort(np.linalg.eigvals(jacobian(LAWS[method].make(shape, GAIN), shape)).real)
     assert np.abs(values[-FREE[method] :]).max() < 1e-6
@@ -107,7 +107,7 @@ def test_the_fastest_mode_has_the_rate_k_and_all_but_the_free_ones_die_out(metho
 
 
 def test_every_mode_of_followers_has_the_rate_k() -> None:
-    """`A (A + k I)^d = 0` for some d means that A has no eigenvalues but 0 and -k, without finding any."""
+    """`A (A + k I)^d = 0` for some d proves without eigenvalues that they are all 0 or -k."""
     shape = cloud(np.random.default_rng(5), 9)
     law = LAWS["matrix-weighted"].make(shape, GAIN)
     matrix = np.array([law(unit) for unit in np.eye(9) + 0j]).T
@@ -117,8 +117,8 @@ def test_every_mode_of_followers_has_the_rate_k() -> None:
 
 @pytest.mark.parametrize("name", MAPS)
 @pytest.mark.parametrize("method", LAWS)
-def test_in_another_frame_a_law_is_the_same_where_its_paper_says_so(method, name) -> None:
-    """Bearings tell no lengths: robots are as fast as the formation is large, since m follows from it."""
+def test_law_is_equivariant_under_maps_of_its_paper(method, name) -> None:
+    """Bearings contain no lengths: speeds are proportional to the formation's size, which determines m."""
     rng = np.random.default_rng(6)
     shape, places = cloud(rng, 10), cloud(rng, 10)
     law, matrix = LAWS[method].make(shape, GAIN), MAPS[name]
@@ -132,7 +132,7 @@ def test_in_another_frame_a_law_is_the_same_where_its_paper_says_so(method, name
 
 @pytest.mark.parametrize("method", LAWS)
 def test_a_robot_needs_to_know_those_it_is_linked_to_alone(method) -> None:
-    """The size that bearings alone are told of at the start is taken out."""
+    """The test removes the size, which bearing-only robots know from the start."""
     rng = np.random.default_rng(2)
     shape, places = cloud(rng, 20), cloud(rng, 20)
     law, links = LAWS[method].make(shape, GAIN), LAWS[method].links(shape)
@@ -153,8 +153,8 @@ def test_a_robot_needs_to_know_those_it_is_linked_to_alone(method) -> None:
 
 
 @pytest.mark.parametrize("method", ["complex-laplacian", *AFFINE, "bearings-with-ranges"])
-def test_symmetric_laws_end_at_the_nearest_shape_that_they_take_for_formed(method) -> None:
-    """Least squares over the free directions, found without the law's own matrix."""
+def test_symmetric_laws_converge_to_nearest_equilibrium(method) -> None:
+    """The reference is a least-squares fit of the free directions, without the law's own matrix."""
     rng = np.random.default_rng(7)
     shape, start = cloud(rng, 8), cloud(rng, 8)
     law = LAWS[method].make(shape, GAIN)
@@ -169,7 +169,7 @@ def test_symmetric_laws_end_at_the_nearest_shape_that_they_take_for_formed(metho
     np.testing.assert_allclose(end, nearest, atol=1e-9)
 
 
-def test_followers_complete_the_shape_that_their_leaders_stand_for() -> None:
+def test_followers_complete_the_shape_of_their_leaders() -> None:
     rng = np.random.default_rng(8)
     shape, start = cloud(rng, 12), cloud(rng, 12)
     leaders = np.setdiff1d(np.arange(12), follower_links(shape)[:, 0])
@@ -190,7 +190,7 @@ def test_followers_have_two_robots_before_them_and_no_cycle(count) -> None:
 
 
 def module_cost(shape: np.ndarray, places: np.ndarray) -> float:
-    """Half the least sum of squared distances from an affine image, module by module, by least squares."""
+    """Return half the minimum sum of squared distances from an affine image, fitted module by module."""
     cost = 0.0
     for robots in modules(shape):
         points = np.stack([np.ones(4), shape[robots].real, shape[robots].imag], axis=1)
@@ -207,7 +207,7 @@ def distance_cost(shape: np.ndarray, places: np.ndarray) -> float:
 
 @pytest.mark.parametrize(("method", "cost"), [("affine-modules", module_cost), ("distances", distance_cost)])
 def test_a_gradient_law_descends_the_cost_of_its_paper(method, cost) -> None:
-    """In direction and sign; the factor follows from the rate."""
+    """The test compares direction and sign; the factor follows from the rate."""
     rng = np.random.default_rng(9)
     shape, places = cloud(rng, 9), cloud(rng, 9)
     slope = []
@@ -222,7 +222,7 @@ def test_a_gradient_law_descends_the_cost_of_its_paper(method, cost) -> None:
 
 
 @pytest.mark.parametrize("count", [4, 7, 16])
-def test_modules_are_interlaced_so_that_affine_images_alone_cost_nothing(count) -> None:
+def test_modules_are_interlaced_with_affine_images_as_kernel(count) -> None:
     """Aranda and Perez-Yus: modules that share three robots; the matrix then has rank N - 3."""
     shape = cloud(np.random.default_rng(count), count)
     groups, rows = modules(shape), module_rows(shape)
@@ -238,7 +238,7 @@ def test_modules_are_interlaced_so_that_affine_images_alone_cost_nothing(count) 
 
 
 def test_stress_weights_are_the_best_of_their_kind() -> None:
-    """Of an A-optimal design: no weight's part in the trace is above it; and the slowest mode is faster."""
+    """A-optimal design: no weight's share in the trace is above it; the slowest mode is faster."""
     shape = cloud(np.random.default_rng(10), 12)
     rows, matrix = module_rows(shape), stress_matrix(shape)
     assert np.trace(matrix) == pytest.approx(1.0)
@@ -251,7 +251,7 @@ def test_stress_weights_are_the_best_of_their_kind() -> None:
 
 
 def test_distances_alone_may_end_in_a_wrong_framework() -> None:
-    """The paper promises convergence from near the shape: from there it is kept, and not from everywhere."""
+    """The paper proves local convergence: a start near the shape converges, and some others do not."""
     rng = np.random.default_rng(11)
     shape = cloud(rng, 9)
     law = distance_law(shape, GAIN)
@@ -263,7 +263,7 @@ def test_distances_alone_may_end_in_a_wrong_framework() -> None:
 
 
 def test_points_along_a_line_make_no_triangles_by_rounding() -> None:
-    """Robots along the sides of a triangle lie in lines but for the last digits: some triangles are flat."""
+    """Robots along the sides of a triangle are collinear up to rounding: some triangles are degenerate."""
     points = shape_points("triangle", 15) @ np.array([1, 1j])
     points = points + 1e-9 * cloud(np.random.default_rng(12), 15)
     corners = triangles(points)
@@ -275,8 +275,8 @@ def test_points_along_a_line_make_no_triangles_by_rounding() -> None:
 
 
 @pytest.mark.parametrize("count", [3, 4, 9, 30])
-def test_the_complex_laplacian_is_stable_and_keeps_similar_shapes_alone(count) -> None:
-    """Lin et al., Theorem 3.1: Lz = 0 for z = a 1 + b shape; rank N - 2, so for no other."""
+def test_complex_laplacian_is_stable_and_keeps_similar_shapes(count) -> None:
+    """Lin et al., Theorem 3.1: Lz = 0 for z = a 1 + b shape; with rank N - 2, for no other z."""
     rng = np.random.default_rng(count)
     shape = cloud(rng, count)
     matrix = complex_laplacian(shape)
@@ -289,7 +289,7 @@ def test_the_complex_laplacian_is_stable_and_keeps_similar_shapes_alone(count) -
 
 
 def test_bearings_alone_keep_centroid_and_size_and_give_turn() -> None:
-    """Zhao and Zelazo, Theorem 9: almost any start ends in the shape, as large as it was."""
+    """Zhao and Zelazo, Theorem 9: almost any start converges to the shape, with its size unchanged."""
     rng = np.random.default_rng(5)
     shape, start = cloud(rng, 10), 3.0 * cloud(rng, 10)
     end = flow(bearing_only_law(shape, GAIN), start, 600.0, step_s=0.05)
@@ -297,7 +297,7 @@ def test_bearings_alone_keep_centroid_and_size_and_give_turn() -> None:
     assert found.error < 1e-3
     assert found.rotation_rad == pytest.approx(0.0, abs=1e-3)
     assert abs(end.mean() - start.mean()) < 1e-9
-    # steps of Euler's rule are tangents of the sphere that the flow stays on: they leave it by O(step)
+    # Euler steps are tangents of the sphere that contains the flow: they leave it by O(step).
     assert np.std(end) == pytest.approx(np.std(start), rel=1e-2)
 
 
@@ -314,7 +314,7 @@ def test_three_robots_make_no_module() -> None:
 
 
 def last_step(*settings: str):
-    """Of a crowd of points near their places, under whose units every image is lost."""
+    """Return the mission and last step of a team near its shape, whose units lose every image."""
     near = [
         "perception=ideal",
         "roles.exchange=false",
@@ -333,8 +333,8 @@ def last_step(*settings: str):
 
 
 @pytest.mark.parametrize("method", LAWS)
-def test_robots_that_are_told_the_truth_form_the_shape_with_no_word_from_units(method) -> None:
-    """As near as the paper promises; how far they were is the test below."""
+def test_robots_with_true_positions_form_shape_without_units(method) -> None:
+    """The error is as small as the paper proves; the test below shows the initial error."""
     size = ["size.unit_m=2.6"] if LAWS[method].needs_size else []
     mission, last = last_step(f"control.method={method}", "control.k=2.4", "duration_s=50", *size)
     shape, places = mission.template.points_of(mission.ids).conj(), last.positions_m @ np.array([1, 1j])
@@ -353,7 +353,7 @@ def test_a_law_of_distances_asks_for_the_size() -> None:
 
 
 def test_a_law_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the working directory; the law of all robots' centroids needs no neighbours."""
+    """The module is in the working directory; a law of all robots' centroids needs no neighbours."""
     (tmp_path / "own_law.py").write_text(
         "def gather(shape, gain_ps):\n    return lambda places: gain_ps * (places.mean() - places)\n"
         "def short(shape, gain_ps):\n    return lambda places: places[:3]\n"
@@ -370,7 +370,7 @@ def test_a_law_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         last_step("control.method=own_law:none")
 
 
-def test_a_law_that_nobody_knows_is_refused_with_the_names_of_all() -> None:
+def test_unknown_law_is_refused_with_names_of_all_laws() -> None:
     with pytest.raises(InputError, match=r"affine-stress.*module:factory") as refusal:
         load_mission("crowd", ["control.method=affine"])
     assert "\n" not in str(refusal.value)

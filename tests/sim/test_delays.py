@@ -1,4 +1,4 @@
-"""Delays of messages as the loop has them, and what robots and units make of them where clocks differ."""
+"""Delays of messages in the loop, and their use by robots and units with different clocks."""
 
 from dataclasses import replace
 from itertools import islice
@@ -16,7 +16,7 @@ from skyherd.sim.delays import max_message_delay_s, min_message_delay_s, min_rep
 from skyherd.sim.robot_teams import make_avoidance, make_team
 
 OFFSETS_S = (-4.0, 3.0, 1.5)
-"""What the units' clocks show at the start."""
+"""Readings of the units' clocks at the start, s."""
 
 CASES = [
     # latencies, s; images a second; random delay, s; step, s
@@ -27,7 +27,7 @@ CASES = [
     ((0.05, 0.05, 0.05), (5.0, 3.0, 4.0), 0.3, 0.1),
     ((0.1, 0.1, 0.1), (3.0, 3.0, 3.0), 0.0, 0.1),
 ]
-"""Radios and cameras."""
+"""Cases of radios and cameras."""
 
 
 def mission_of(latencies_s, rates_hz, delay_s, step_s, *, offsets_s=OFFSETS_S):
@@ -41,7 +41,7 @@ def mission_of(latencies_s, rates_hz, delay_s, step_s, *, offsets_s=OFFSETS_S):
 
 
 def run_for(mission, seconds, heard=lambda *_: None):
-    """Steps of a mission, and its robots; `heard` is told what reports each unit decides on."""
+    """Yield the steps of a mission with its robots; `heard` receives the reports of each unit's decisions."""
     teams = []
 
     def keep(*given):
@@ -65,11 +65,11 @@ def run_for(mission, seconds, heard=lambda *_: None):
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_an_age_that_a_robot_measures_is_too_small_by_the_margin_at_most(case) -> None:
-    """Against the world's time: each goal in an inbox, from 10 s on, when robots move.
+def test_measured_message_age_is_low_by_at_most_the_margin(case) -> None:
+    """The reference is the world's time: each goal in an inbox, from 10 s on, when robots move.
 
-    The bound on speed rests on it. With one latency and no random delay the margin is 0, and ages are exact
-    but for what bounds give way.
+    The speed bound depends on this margin. With one latency and no random delay the margin is 0, and ages are
+    exact up to the clocks' drift.
     """
     mission = mission_of(*case)
     margin_s = make_avoidance(mission.scenario).clock_margin_s
@@ -91,8 +91,8 @@ def test_an_age_that_a_robot_measures_is_too_small_by_the_margin_at_most(case) -
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
-def test_no_message_is_faster_than_the_least_delay_and_some_are_as_fast(case) -> None:
-    """The least is exact where clocks agree: units and robots as the loop has them."""
+def test_min_message_delay_is_attained_and_never_undercut(case) -> None:
+    """With equal clocks, the minimum is exact for units and robots in the loop."""
     mission = mission_of(*case, offsets_s=(0.0, 0.0, 0.0))
     scenario, received, reported = mission.scenario, [], []
 
@@ -111,14 +111,14 @@ def test_no_message_is_faster_than_the_least_delay_and_some_are_as_fast(case) ->
 
 
 def test_delays_are_rounded_up_to_whole_steps() -> None:
-    """Three tenths are three steps of 0.1, whatever their quotient is in the last bit."""
+    """0.3 s are three steps of 0.1 s, in spite of the rounding of the quotient."""
     assert whole_steps(0.3, 0.1) == pytest.approx(0.3)
     assert whole_steps(0.31, 0.1) == pytest.approx(0.4)
     assert whole_steps(0.0, 0.1) == 0.0
 
 
-def test_the_leading_clock_is_the_teams_and_robots_have_it_by_their_own() -> None:
-    """Units' clocks show -4, 3 and 1.5 s at the start: all stamp 3 s ahead of the world, from 3 s on."""
+def test_leading_unit_clock_becomes_team_time_of_robots() -> None:
+    """Units' clocks show -4, 3 and 1.5 s at the start: from 3 s on, all stamps lead the world by 3 s."""
     for step, team in run_for(mission_of(*CASES[1]), 12.0):
         if step.time_s < 3.0:
             continue
@@ -129,7 +129,7 @@ def test_the_leading_clock_is_the_teams_and_robots_have_it_by_their_own() -> Non
     assert heard.all()
 
 
-def test_robots_learn_the_teams_time_by_the_messages_that_they_receive_alone(make_goals) -> None:
+def test_robots_learn_team_time_only_from_received_messages(make_goals) -> None:
     clocks = RobotClocks(
         lambda time_s: np.array([10.0, 20.0, 30.0]) + time_s, TeamClock(0.5, 3, listens=True)
     )

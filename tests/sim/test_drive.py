@@ -1,4 +1,4 @@
-"""Robots as they are: what each part of the drive does, and that it does nothing when it is off."""
+"""Effects of the drive on robots: each effect, and no change while it is off."""
 
 from dataclasses import fields
 from typing import Any
@@ -18,7 +18,7 @@ from skyherd.sim.world import move_bodies, move_unicycles
 
 STEP_S = 0.1
 ROUNDING = 1e-12
-"""m/s and rad/s, for speeds of a few: what a few additions leave."""
+"""Tolerance for speeds of a few m/s and rad/s: the rounding of a few additions."""
 
 
 def commands(seed: int, steps: int, count: int) -> list[VelocityCommand]:
@@ -33,7 +33,7 @@ def drive_of(parameters: DriveParameters, count: int, seed: int) -> Drive:
 
 
 def drive_through(asked: list[VelocityCommand], seed: int = 7, **parts: Any) -> np.ndarray:
-    """(T, 2, N) v and omega of every step."""
+    """Return v and omega of every step, (T, 2, N)."""
     drive = drive_of(DriveParameters(**parts), len(asked[0].ids), seed)
     return np.array([drive.step(command) for command in asked])
 
@@ -47,7 +47,7 @@ def test_with_all_parts_off_a_command_is_what_happens_to_the_bit() -> None:
     np.testing.assert_array_equal(drive_through(asked), plain(asked))
 
 
-def test_with_all_parts_off_the_world_moves_as_bare_unicycles_to_the_bit(scenario_tree) -> None:
+def test_world_without_drive_effects_moves_as_exact_unicycles(scenario_tree) -> None:
     mission = make_mission(scenario_tree("triangle"))
     world, state = make_world(mission), (mission.positions_m, mission.headings_rad)
     for tick, command in enumerate(commands(2, 50, mission.ids.size)):
@@ -64,7 +64,7 @@ def test_wheels_and_body_are_one_motion_told_twice() -> None:
 
 @pytest.mark.parametrize("others", [{}, {"gain_error": 0.2, "wheel_step_mps": 0.05, "delay_s": 0.3}])
 def test_acceleration_is_never_exceeded_and_all_of_it_is_used(others: dict[str, float]) -> None:
-    """Also with what happens to the wheels before; commands that jump by up to 2 m/s use it to the full."""
+    """This also holds after other wheel effects; commands that jump by up to 2 m/s reach the limit."""
     limits = np.array([0.8, 2.5])
     rates = drive_through(
         commands(4, 200, 40), max_accel_mps2=limits[0], max_turn_accel_radps2=limits[1], **others
@@ -83,7 +83,7 @@ def test_a_robot_brakes_to_a_full_stop_in_v_over_a() -> None:
     assert abs(v[14]) < ROUNDING and (v[15:] == 0).all()
 
 
-def test_wheels_run_at_multiples_of_a_step_off_by_half_of_it_at_most() -> None:
+def test_wheel_speeds_are_rounded_to_multiples_of_the_step() -> None:
     asked = commands(5, 50, 40)
     rates = drive_through(asked, wheel_step_mps=0.07, track_m=0.25)
     wheels, wanted = (
@@ -115,9 +115,9 @@ def test_a_delay_is_an_exact_shift(delay_s: float, steps: int) -> None:
 
 
 def test_gains_are_drawn_once_within_their_bounds_from_the_seed() -> None:
-    """4000 uniform draws within +-0.2: mean and variance to 5 standard deviations of theirs.
+    """4000 uniform draws within +-0.2: mean and variance to 5 of their standard deviations.
 
-    The variance of a uniform variable's square is `x⁴ (1/5 - 1/9)`, x being its bound.
+    The variance of a uniform variable's square is `x⁴ (1/5 - 1/9)`, where x is its bound.
     """
     parameters = DriveParameters(gain_error=0.2)
     errors = drive_of(parameters, 2000, 1).gains.ravel() - 1
@@ -134,10 +134,10 @@ def test_gains_are_drawn_once_within_their_bounds_from_the_seed() -> None:
 
 
 def test_slip_has_the_stated_spread_and_memory() -> None:
-    """At any one instant N = 20 000 independent normal variables, from the first step on.
+    """N = 20 000 independent normal variables at any instant, from the first step on.
 
-    Variances of N normal variables are known to `sqrt(2 / N)`, means to `1 / sqrt(N)`, correlations to
-    `(1 - rho²) / sqrt(N)`; 5 standard deviations of each.
+    The standard deviations of N normal variables are `sqrt(2 / N)` for variances, `1 / sqrt(N)` for means and
+    `(1 - rho²) / sqrt(N)` for correlations. The test allows 5 of each.
     """
     count, sd = 10_000, 0.1
     ids = np.arange(count)
@@ -155,7 +155,7 @@ def test_slip_has_the_stated_spread_and_memory() -> None:
 
 
 def test_slip_and_gains_are_streams_of_their_own() -> None:
-    """Gains are the same with and without slip, and a run is the same twice."""
+    """Gains are the same with and without slip, and a repeated run is the same."""
     asked = commands(10, 10, 20)
     both = drive_through(asked, slip=0.2, gain_error=0.1)
     np.testing.assert_array_equal(both, drive_through(asked, slip=0.2, gain_error=0.1))
@@ -165,8 +165,8 @@ def test_slip_and_gains_are_streams_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("offset_m", [0.15, -0.3])
-def test_a_body_off_its_axis_moves_as_the_integrated_equations_say(offset_m: float) -> None:
-    """`c' = v e(theta) + offset omega e(theta + pi/2)`, by an integrator that knows no arcs, at 1e-12."""
+def test_offset_body_motion_matches_integrated_equations(offset_m: float) -> None:
+    """`c' = v e(theta) + offset omega e(theta + pi/2)`; the reference integrator has a tolerance of 1e-12."""
     rng = np.random.default_rng(11)
     positions, headings = rng.uniform(-5, 5, (8, 2)), rng.uniform(-np.pi, np.pi, 8)
     v, omega = rng.uniform(-1, 1, 8), np.append(rng.uniform(-3, 3, 7), 0.0)
@@ -185,7 +185,7 @@ def test_a_body_off_its_axis_moves_as_the_integrated_equations_say(offset_m: flo
 
 
 def test_the_worlds_motion_is_that_of_the_bodies(scenario_tree) -> None:
-    """Velocities that blur an image, against the way of the next 1e-6 s at the same rates: to its square."""
+    """The velocities for motion blur equal the motion of the next 1e-6 s at the same rates."""
     tree = scenario_tree("triangle")
     tree["robots"]["drive"] = {"axis_offset_m": 0.2, "gain_error": 0.1}
     mission = make_mission(tree)
@@ -216,7 +216,7 @@ def test_a_scenario_names_parts_by_single_keys(scenario_tree) -> None:
 
 
 def test_every_key_of_a_scenario_reaches_the_drive(scenario_tree) -> None:
-    """Under the same name, each with a value of its own; the others have the defaults of a robot without."""
+    """Keys have the same names, each with its own value; omitted keys have the defaults of the class."""
     keys = {
         name: 0.01 * (number + 1)
         for number, name in enumerate(field.name for field in fields(DriveParameters))

@@ -29,7 +29,7 @@ def send_many(make_goals, make_report):
 
 
 def test_delays_are_spread_evenly_over_their_range(send_many) -> None:
-    """Goals that arrived by a quarter of the range: 400 draws, 5 standard deviations of a binomial."""
+    """Goals that arrived within a part of the range: 400 draws, 5 standard deviations of a binomial."""
     network = send_many(NetworkModel(delay_s=0.8))
     assert network.deliver(0.99) == []
     for share in (0.25, 0.75):
@@ -40,7 +40,7 @@ def test_delays_are_spread_evenly_over_their_range(send_many) -> None:
 
 
 def test_each_receiver_has_a_delay_of_its_own(make_report) -> None:
-    """Of 400 reports each receiver is first in half, to 5 standard deviations of a binomial."""
+    """Each receiver is the first for half of 400 reports, to 5 standard deviations of a binomial."""
     first = np.zeros(2)
     for seed in range(400):
         network = Network(NetworkModel(delay_s=1.0), np.random.default_rng(seed), 3)
@@ -79,10 +79,10 @@ def test_the_dead_forget(make_report) -> None:
 
 
 CHAIN = [[0, 1], [0, 1, 2], [1, 2, 3], [2, 3]]
-"""Four units in a row, each of which receives the next ones."""
+"""Four units in a row, each in range of its neighbours."""
 
 
-def test_reports_reach_units_out_of_range_by_relay_one_delay_later_for_each_hop(make_report) -> None:
+def test_relayed_reports_arrive_one_delay_later_per_hop(make_report) -> None:
     network = Network(NetworkModel(relay_s=0.25), np.random.default_rng(0), 4)
     network.connect(CHAIN)
     network.send([], make_report(0, [0], [0], [0]), 1.0)
@@ -96,7 +96,7 @@ def test_reports_reach_units_out_of_range_by_relay_one_delay_later_for_each_hop(
     assert network.reports == [{}, network.reports[1], {}, {}], "without relays it ends at the neighbour"
 
 
-def test_the_dead_pass_nothing_on_and_a_ring_of_relays_falls_silent(make_report) -> None:
+def test_network_drops_relayed_reports_of_dead_units(make_report) -> None:
     network = Network(NetworkModel(relay_s=0.1), np.random.default_rng(0), 4)
     network.connect(CHAIN, dead=[1])
     network.send([], make_report(0, [0], [0], [0]), 0.0)
@@ -115,8 +115,8 @@ def test_the_dead_pass_nothing_on_and_a_ring_of_relays_falls_silent(make_report)
     assert not network._waiting, "what is no news to anybody is not passed on for ever"
 
 
-def test_a_report_that_was_lost_on_its_way_is_passed_on_with_the_next_one_of_the_relay(make_report) -> None:
-    """Half of all messages are lost: with 40 reports of unit 1, unit 2 has heard of the one of unit 0."""
+def test_relay_repeats_lost_reports_with_its_next_report(make_report) -> None:
+    """Half of all messages are lost: with 40 reports of unit 1, unit 2 receives the report of unit 0."""
     heard = 0
     for seed in range(50):
         network = Network(NetworkModel(message_loss=0.5, relay_s=0.01), np.random.default_rng(seed), 3)
@@ -143,7 +143,7 @@ def test_parts_of_a_team_that_hear_of_each_other() -> None:
         ({}, ""),
     ],
 )
-def test_a_mission_whose_radio_does_not_connect_its_units_says_so(capsys, network, warning) -> None:
+def test_mission_warns_of_units_that_radio_does_not_connect(capsys, network, warning) -> None:
     tree = random_mission(3, Crowd(2, 5)) | {"network": network}
     _warn_of_the_radio(make_mission(tree))
     assert warning in capsys.readouterr().err.replace("\n", " ")
@@ -158,7 +158,7 @@ def test_a_mission_without_relays_is_told_what_comes_of_it(capsys) -> None:
 
 
 def test_units_out_of_range_do_not_hear_one_another() -> None:
-    """Two units 6 to 8 m apart: with a range below that each founds a tree of its own, above it one joins."""
+    """Two units 6 to 8 m apart: with a range below that each founds its own tree, above it one joins."""
     trees = {}
     for range_m in (3.0, 30.0):
         tree = random_mission(3, Crowd(2, 5)) | {"perception": "ideal", "duration_s": 8.0}
@@ -179,7 +179,7 @@ def test_every_key_of_a_scenario_reaches_the_network(scenario_tree) -> None:
 
 @pytest.mark.parametrize(("outages", "founders"), [([], 1), ([[0.0, 100.0]], 2)])
 def test_a_dead_unit_in_the_middle_is_no_relay(outages, founders) -> None:
-    """Three units in a row, of which the outer ones receive the middle one alone: each founds a tree."""
+    """Three units in a row, the outer ones in range only of the middle one: each of them founds a tree."""
     tree = random_mission(3, Crowd(3, 5, "chain")) | {"perception": "ideal", "duration_s": 8.0}
     places_m = [(-8.0, 0.0), (0.0, 0.0), (8.0, 0.0)]
     for unit, place_m in zip(tree["units"], places_m, strict=True):

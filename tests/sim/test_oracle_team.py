@@ -1,4 +1,4 @@
-"""Robots that are told where they are: with errors, and not always."""
+"""Robots that receive their positions from the world, with errors and losses."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ STEP_S = 0.2
 
 
 def team_of(law, *, noise_m=0.0, loss=0.0, lifetime_s=0.5):
-    """Robots that turn as fast as they drive, and the world that they are in."""
+    """Return robots that turn as fast as they drive, and their world."""
     world = make_world(load_mission("crowd"))
     news = News(noise_m, loss, lifetime_s, np.random.default_rng(3))
     gains = MarkerGains(k=0.6, k_omega=2.4, b_th=0.0, side_m=0.4)
@@ -20,11 +20,11 @@ def team_of(law, *, noise_m=0.0, loss=0.0, lifetime_s=0.5):
 
 
 def ahead(world):
-    """Half a metre a second straight ahead, for each robot."""
+    """Return a law with 0.5 m/s straight ahead for each robot."""
     return lambda places: 0.5 * np.exp(1j * world.headings_rad)
 
 
-def test_a_robot_that_faces_the_right_way_drives_as_fast_as_the_law_wants() -> None:
+def test_robot_facing_desired_velocity_drives_at_that_speed() -> None:
     told = []
     team, world = team_of(lambda places: told.append(places) or 0.5 * np.exp(1j * world.headings_rad))
     orders = team.decide(0.0, [])
@@ -34,7 +34,7 @@ def test_a_robot_that_faces_the_right_way_drives_as_fast_as_the_law_wants() -> N
     np.testing.assert_array_equal(orders.commanded_ids, world.ids)
 
 
-def test_errors_of_what_robots_are_told_are_normal_and_new_at_each_step() -> None:
+def test_position_errors_are_normal_and_independent_per_step() -> None:
     told = []
     team, world = team_of(lambda places: told.append(places) or 0 * places, noise_m=0.05)
     for tick in range(400):
@@ -48,7 +48,7 @@ def test_errors_of_what_robots_are_told_are_normal_and_new_at_each_step() -> Non
 
 
 def test_a_robot_without_news_drives_on_as_it_did_and_then_stops() -> None:
-    """News come with a chance of 30 %: one that had none for more than 0.5 s stands."""
+    """A robot receives its position with a probability of 30 %; it stops after 0.5 s without one."""
     speed = {"now": 0.1}
     team, world = team_of(lambda places: speed["now"] * np.exp(1j * world.headings_rad), loss=0.7)
     last_s, last_mps = np.full(16, -np.inf), np.zeros(16)
@@ -66,7 +66,7 @@ def test_a_robot_without_news_drives_on_as_it_did_and_then_stops() -> None:
     assert (np.array(shares) < 1).all()
 
 
-def test_nobody_moves_who_is_never_told_anything() -> None:
+def test_robots_without_any_position_stand_still() -> None:
     team, _ = team_of(lambda places: 1.0 + 0 * places, loss=1.0)
     orders = team.decide(0.0, [])
     assert not orders.command.v_mps.any() and not orders.command.omega_radps.any()

@@ -1,4 +1,4 @@
-"""Recall by the truth: a marker counts as found only where it is."""
+"""Recall by ground truth: a marker counts as found only at its true position."""
 
 from itertools import islice
 
@@ -54,8 +54,10 @@ def test_a_detection_in_a_wrong_place_is_false_and_finds_nothing(how, found):
 )
 @pytest.mark.parametrize("kind", ["rendered", "noisy"])
 def test_every_scenario_runs_on_opencvs_detector_alone(name, kind):
-    """Its detections, of which it tells no covariance, go through the loop: most markers of the first images
-    are there, and controllers set goals for all robots that they control."""
+    """The detections, without covariances, pass through the loop.
+
+    The detector finds most markers of the first images, and controllers set goals for all controlled robots.
+    """
     mission = load_mission(name, ["detector=opencv", f"perception={kind}"])
     step, _ = islice(run_steps(mission), 2)
     sights = [frame.sight for frame in step.frames.values()]
@@ -73,7 +75,7 @@ def _ids_of(sight):
 
 
 def looks(settings, count):
-    """The first image of a scenario's units, seen so often by noisy perception."""
+    """Return `count` sights per unit by noisy perception, all of the scenario's first image."""
     mission = load_mission("star", ["perception=noisy", *settings])
     perception, world = make_perception(mission, np.random.default_rng(5)), make_world(mission)
     units = range(len(mission.scenario.units))
@@ -82,7 +84,7 @@ def looks(settings, count):
 
 @pytest.mark.parametrize("height_m", [20.0, 50.0, 58.0])
 def test_noisy_perception_misses_markers_as_the_detector_does(height_m) -> None:
-    """The share that is found is the measured recall of that size, to 5 standard deviations of a binomial."""
+    """The recall is the measured one of that size, to 5 standard deviations of a binomial."""
     sights = looks([f"units.*.height_m={height_m}", "sensor.noise=5"], 200)
     exact = looks([f"units.*.height_m={height_m}", "perception=ideal"], 1)
     sides = np.concatenate([sight.detections.sides_px for sight in exact])
@@ -94,15 +96,15 @@ def test_noisy_perception_misses_markers_as_the_detector_does(height_m) -> None:
 
 
 def test_no_marker_below_the_measured_sizes_is_found() -> None:
-    """The table ends at 1.2 px a cell; nothing says that smaller ones could be read."""
+    """The table ends at 1.2 px a cell; the detector was not measured below."""
     accuracy = load_accuracy("photometric", psf_px=0.5)
     assert accuracy.recall[0] > 0.01
     sides = np.array([0.5, 0.99]) * accuracy.sides_px[0]
     assert not accuracy.found(np.repeat(sides, 1000), np.random.default_rng(0)).any()
 
 
-def test_noisy_markers_are_wrong_in_place_heading_side_and_shape_as_measured() -> None:
-    """Errors over 4000 markers, against the table; what a rectifier learns from is no longer exact."""
+def test_noisy_marker_errors_match_measured_accuracy() -> None:
+    """Errors over 4000 markers, against the table; the corners of noisy markers are not exact either."""
     sights, (exact, *_) = looks(["sensor.noise=10"], 300), looks(["perception=ideal"], 1)
     true = exact.detections
     corners = to_complex(true.corners_px - true.centers_px[:, None])
@@ -144,7 +146,7 @@ def test_noisy_markers_are_wrong_in_place_heading_side_and_shape_as_measured() -
 
 
 def test_more_noise_blur_or_cells_make_markers_harder_to_read() -> None:
-    """Recall at each size falls along each axis of the table; in between errors are in between."""
+    """Recall at each size falls along each axis of the table; between its points errors are interpolated."""
     plain = load_accuracy("photometric", noise=2.0, psf_px=0.8)
     for worse in (
         load_accuracy("photometric", noise=10.0, psf_px=0.8),
@@ -163,9 +165,11 @@ def test_more_noise_blur_or_cells_make_markers_harder_to_read() -> None:
 
 
 @pytest.mark.parametrize("ids", [[0, 1, 2, 3, 4, 5], [8, 9, 17, 47, 1, 2]])
-def test_a_mirror_image_is_searched_only_while_markers_are_missing(ids, monkeypatch):
-    """In a mirrored image only markers that are their own mirror images are found, of which a team may have
-    many; where most markers are found there is nothing to prove."""
+def test_mirror_image_is_searched_only_with_missing_markers(ids, monkeypatch):
+    """In a mirrored image the detector finds only markers that are their own mirror images.
+
+    A team may have many of these. With most markers found, the image is not mirrored.
+    """
     asked = []
     monkeypatch.setattr(
         "skyherd.sim.perception.explain_mirrored", lambda *call: asked.append(call) or explain_mirrored(*call)

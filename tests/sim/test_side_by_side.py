@@ -1,4 +1,4 @@
-"""Cameras side by side give what one after the other gives, byte for byte."""
+"""Parallel processing of cameras has the same results, byte for byte, as sequential processing."""
 
 import os
 import signal
@@ -22,7 +22,7 @@ SMALL = ["units.*.camera.size_px=[320, 240]", "duration_s=0.8"]
 
 
 def everything(mission, jobs):
-    """Bytes of all images and detections of a run, and of where robots and units were."""
+    """Return the bytes of all images and detections of a run, and of the positions of robots and units."""
     said = []
     with SideBySide(make_run_perception(mission), jobs) as perception:
         for step in run_steps(mission, perception):
@@ -45,7 +45,7 @@ def everything(mission, jobs):
     ids=["usual", "frames lost and another sensor", "a unit that begins late"],
 )
 def test_results_are_the_same_for_any_number_of_jobs(settings):
-    """Frames that are lost and units that begin late change whose image is which in the sequence of noise."""
+    """Lost frames and units that start late change the order of images in the sequence of noise."""
     mission = load_mission("star", [*SMALL, *settings])
     alone = everything(mission, 1)
     assert len(alone) > 50
@@ -54,7 +54,7 @@ def test_results_are_the_same_for_any_number_of_jobs(settings):
 
 
 def test_without_skipping_the_images_of_others_noise_is_another(monkeypatch):
-    """A negative control: the test above does see the order of random numbers."""
+    """Negative control: the test above is sensitive to the order of random numbers."""
     mission = load_mission("star", SMALL)
     alone = everything(mission, 1)
     monkeypatch.setattr(RenderedPerception, "skip", lambda self, view: None)
@@ -62,7 +62,7 @@ def test_without_skipping_the_images_of_others_noise_is_another(monkeypatch):
 
 
 def test_of_three_cameras_two_helpers_draw_one_for_each_other():
-    """So that the tests above see images that one helper draws and another reads."""
+    """The tests above therefore cover images that one helper renders and another reads."""
     crossed = [share.reads - share.draws for share in deal(3, 2)]
     assert sorted(map(len, crossed)) == [0, 1]
 
@@ -70,7 +70,7 @@ def test_of_three_cameras_two_helpers_draw_one_for_each_other():
 @pytest.mark.parametrize(
     ("units", "helpers"), [(u, h) for u in range(1, 18) for h in range(1, min(u, 6) + 1)]
 )
-def test_every_image_is_drawn_and_read_once_and_nobody_has_much_more_to_do(units, helpers):
+def test_cameras_are_dealt_once_with_balanced_work(units, helpers):
     shares = deal(units, helpers)
     assert len(shares) == helpers
     for done in ("draws", "reads"):
@@ -107,7 +107,7 @@ def test_a_helper_that_is_killed_ends_the_run_in_one_line():
 
 
 def make_detector(dictionary):
-    """A detector of a user's own."""
+    """Make a user-defined detector."""
     return create_detector("opencv", dictionary=dictionary)
 
 
@@ -133,7 +133,7 @@ def test_a_single_camera_stays_in_its_process():
 
 @pytest.mark.smoke
 def test_images_are_ones_own():
-    """The memory that helpers write to is used again for the next image."""
+    """The helpers reuse their shared memory for the next image."""
     mission = load_mission("star", SMALL)
     with SideBySide(make_run_perception(mission), 2) as perception:
         images = [step.frames[0].sight.image for step in run_steps(mission, perception)]

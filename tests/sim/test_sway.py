@@ -1,4 +1,4 @@
-"""Sway: its amplitude, its spectrum, its slope, and that pictures and truth sway with it."""
+"""Sway: its amplitude, spectrum and rate, and its effect on images and ground truth."""
 
 import numpy as np
 import pytest
@@ -13,15 +13,17 @@ PERIOD_S, TILT_RAD = 3.0, 0.1
 
 
 def many(count: int, times_s: np.ndarray) -> np.ndarray:
-    """Tilts (count, T, 2) of independent units."""
+    """Return the tilts (count, T, 2) of independent units."""
     sways = (Sway.draw(TILT_RAD, PERIOD_S, np.random.default_rng([7, number])) for number in range(count))
     return np.array([[sway.tilts_rad(time) for time in times_s] for sway in sways])
 
 
 def test_it_has_the_amplitude_and_the_spectrum_that_it_promises():
-    """Autocorrelation over 2000 units, 4000 axes: `σ² exp(-(2π f₀ τ b)² / 2) cos(2π f₀ τ)`, which is the
-    spectrum's transform. A product of two unit normals has the deviation sqrt(1 + r²) ≤ sqrt 2, the mean of
-    4000 of them sqrt 2 / 63 = 0.022 of σ²; 5 of those."""
+    """Autocorrelation over 2000 units, 4000 axes: `σ² exp(-(2π f₀ τ b)² / 2) cos(2π f₀ τ)`.
+
+    This is the transform of the spectrum. A product of two unit normals has the deviation sqrt(1 + r²) ≤ sqrt
+    2. The mean of 4000 of them has sqrt 2 / 63 = 0.022 of σ². The test allows 5 of those.
+    """
     lags_s = np.array([0.0, 0.2, 0.75, 1.5, 3.0, 4.5, 9.0])
     tilts = many(2000, 11.0 + lags_s)
     found = (tilts[:, :1] * tilts).mean(axis=(0, 2)) / (TILT_RAD**2 / 2)
@@ -34,7 +36,7 @@ def test_it_has_the_amplitude_and_the_spectrum_that_it_promises():
 
 
 def test_it_is_gaussian():
-    """Kurtosis 3 - 3 / (2 M); of 8000 numbers it is known to sqrt(24 / 8000) = 0.055."""
+    """Kurtosis 3 - 3 / (2 M); for 8000 numbers its standard deviation is sqrt(24 / 8000) = 0.055."""
     tilts = many(4000, np.array([5.0])).ravel() / (TILT_RAD / np.sqrt(2))
     assert np.mean(tilts**4) == pytest.approx(3 - 1.5 / 64, abs=5 * 0.055)
 
@@ -55,8 +57,8 @@ SWAYING = [
 ]
 
 
-def test_the_worlds_camera_sways_around_its_tilt_and_its_motion_says_so():
-    """Rates against differences of poses; the step is as small as differences of seconds allow."""
+def test_world_camera_sways_about_tilt_with_matching_motion():
+    """Rates are compared with differences of poses, for a step near the rounding limit of times."""
     mission = load_mission("triangle", [*SWAYING, "step_s=1e-4"])
     world = make_world(mission)
     steps = run_steps(mission)
@@ -71,8 +73,8 @@ def test_the_worlds_camera_sways_around_its_tilt_and_its_motion_says_so():
     np.testing.assert_allclose(at_start.pose_at(poses[0], 1e-4).tilt_rad, tilts[1], rtol=0, atol=1e-7)
 
 
-def test_what_is_seen_is_seen_from_the_swayed_camera_at_every_step():
-    """Ideal detections against the projection by the recorded pose; a still camera would be off by pixels."""
+def test_detections_use_the_swayed_camera_at_every_step():
+    """The reference is the projection by the recorded pose; a static camera would differ by pixels."""
     mission = load_mission("triangle", SWAYING)
     camera = make_world(mission).cameras[0]
     for step in run_steps(mission):
@@ -83,7 +85,7 @@ def test_what_is_seen_is_seen_from_the_swayed_camera_at_every_step():
 
 
 def test_sway_is_of_the_seed_and_of_time_alone():
-    """The step size does not change it, another seed does, and no other use of the seed feels it."""
+    """The step size and other uses of the seed do not change it; another seed does."""
     last = {}
     for name, settings in (
         ("one", []),

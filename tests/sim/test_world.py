@@ -1,4 +1,4 @@
-"""The truth: exact arcs, flight within limits, zoom, the network, frame rates."""
+"""Ground truth: exact arcs, flight within limits, zoom, the network, frame rates."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from skyherd.sim.physics import make_world
 from skyherd.sim.world import World, move_unicycles
 
 EXACT = 1e-12
-"""Metres, for paths of a few metres: closed forms differ by rounding alone."""
+"""Tolerance for paths of a few metres, m: closed forms differ only by rounding."""
 
 
 def random_robots(seed: int, count: int = 50) -> tuple[np.ndarray, ...]:
@@ -52,7 +52,7 @@ def test_arcs_are_circles() -> None:
 
 
 def test_arcs_solve_the_unicycles_equations() -> None:
-    """Against an integrator that knows no arcs, at 1e-12 a step."""
+    """The reference is a numerical integrator with a tolerance of 1e-12."""
     positions, headings, v, omega = random_robots(2, 8)
     moved, turned = move_unicycles(positions, headings, v, omega, 2.0)
     for i in range(8):
@@ -85,7 +85,7 @@ def test_there_and_back_again() -> None:
 
 @pytest.mark.parametrize("omega", [0.0, 1e-300, 1e-12, -1e-9, 1e-6])
 def test_no_turn_is_a_straight_line(omega) -> None:
-    """The arc leaves its tangent by v w t²/2: to that, and to rounding, a straight line."""
+    """The arc leaves its tangent by v w t²/2; the test allows this and rounding."""
     moved, _ = move_unicycles(
         np.array([[1.0, 2.0]]), np.array([0.3]), np.array([0.8]), np.array([omega]), 5.0
     )
@@ -104,7 +104,7 @@ def test_a_full_circle_comes_home() -> None:
 def test_a_curved_path_converges_at_the_order_of_its_commands() -> None:
     """Arcs are exact for constant commands; for v(t), w(t) held at each step's middle the order is two.
 
-    Recovered by regression over step sizes, as a check that nothing of first order hides in the step.
+    A regression over step sizes recovers the order, so that no first-order error remains in the step.
     """
 
     def drive(steps: int) -> complex:
@@ -126,7 +126,7 @@ def test_a_curved_path_converges_at_the_order_of_its_commands() -> None:
 
 @pytest.fixture
 def mission_of(scenario_tree) -> Any:
-    """The triangle under one hovering unit, with what a test changes."""
+    """Return the triangle under one hovering unit, with the changes of a test."""
 
     def make(unit: dict[str, Any] | None = None, units: int = 1, **changes: Any) -> Mission:
         tree = scenario_tree("triangle")
@@ -152,10 +152,8 @@ def fly(world: World, lateral: tuple[float, float], climb: float, yaw_rate: floa
 
 @pytest.mark.parametrize("yaw_deg", [0.0, 35.0, -150.0])
 @pytest.mark.parametrize(("axis", "lateral"), [(0, (0.5, 0.0)), (1, (0.0, 0.5))], ids=["+u", "+v"])
-def test_flying_along_an_image_axis_moves_the_ground_back_along_it(
-    mission_of, yaw_deg, axis, lateral
-) -> None:
-    """By f/h times the way, in pixels; nothing across; to rounding."""
+def test_flight_along_image_axis_moves_ground_backward(mission_of, yaw_deg, axis, lateral) -> None:
+    """The image moves by f/h times the path, in pixels, and not across, to rounding."""
     world = make_world(mission_of({"yaw_deg": yaw_deg}))
     before = project(world.cameras[0], world.camera_pose(0), world.positions_m)
     fly(world, lateral, 0.0, 0.0, 2.0)
@@ -167,7 +165,7 @@ def test_flying_along_an_image_axis_moves_the_ground_back_along_it(
 
 
 def test_climbing_shrinks_the_image_and_yawing_turns_it(mission_of) -> None:
-    """Counter-clockwise yaw seen from above turns the scene clockwise in the image as one sees it."""
+    """Counter-clockwise yaw seen from above turns the scene clockwise in the displayed image."""
     world = make_world(mission_of(autopilot={"max_climb_mps": 1.0}))
     center = np.array([407.0, 392.0])  # the principal point: the unit turns and climbs about it
     before = project(world.cameras[0], world.camera_pose(0), world.positions_m) - center
@@ -291,7 +289,7 @@ def test_losses_come_from_the_generator(make_goals, make_report) -> None:
 
 
 def test_latency_delays_commands_by_itself(mission_of) -> None:
-    """With 0.35 s and steps of 0.1 s robots hold still up to 0.3 s and drive from 0.4 s on."""
+    """With 0.35 s and steps of 0.1 s robots stand still until 0.3 s and drive from 0.4 s on."""
     steps = list(run_steps(mission_of({"latency_s": 0.35}, duration_s=1.0)))
     moving = [step.time_s for step in steps if np.abs(step.command.v_mps).max() > 0]
     assert moving[0] == pytest.approx(0.4)
@@ -309,7 +307,7 @@ def test_a_robot_that_hears_nothing_stops_after_its_timeout(mission_of) -> None:
 
 @pytest.mark.parametrize("rate", [1.0, 3.0, 4.0, 7.0, 10.0])
 def test_each_unit_keeps_its_frame_rate(mission_of, rate) -> None:
-    """Images in n seconds are n · rate, and one at 0; between two lies 1/rate to within a step."""
+    """n seconds have n · rate images, and one at 0; the interval is 1/rate, to within a step."""
     steps = list(run_steps(mission_of({"frame_rate_hz": rate}, duration_s=6.0)))
     shots = np.array([step.time_s for step in steps if 0 in step.frames])
     for second in range(1, 7):

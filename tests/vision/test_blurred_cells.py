@@ -1,4 +1,4 @@
-"""Cells under blur, against a direct convolution, and correlations against NumPy's."""
+"""Blurred cells against a direct convolution, and correlations against NumPy."""
 
 import numpy as np
 import pytest
@@ -12,9 +12,11 @@ FINE = 40
 
 @pytest.mark.parametrize("blur_cells", [0.2, 0.5, 1.0])
 @pytest.mark.parametrize(("per_cell", "samples"), [(1, 1), (3, 1), (1, 2)])
-def test_darkness_is_the_black_cells_under_a_gaussian_on_white(blur_cells, per_cell, samples):
-    """Drawn at 40 pixels a cell with a white margin: positions differ by half such a pixel at most, 0.013 of
-    a cell, over an edge whose slope is 0.4 / blur_cells."""
+def test_darkness_matches_a_direct_gaussian_blur(blur_cells, per_cell, samples):
+    """The reference has 40 pixels a cell and a white margin.
+
+    Positions differ by at most half a pixel, 0.013 cells, at an edge of slope 0.4 / blur_cells.
+    """
     white = marker_cells("4X4_50", 7)
     margin = 6
     drawn = np.pad(np.kron(~white, np.ones((FINE, FINE))), margin * FINE)
@@ -29,7 +31,7 @@ def test_darkness_is_the_black_cells_under_a_gaussian_on_white(blur_cells, per_c
     np.testing.assert_allclose(darkness, seen, atol=2 * 0.013 * 0.4 / blur_cells)
 
 
-def test_correlations_are_numpys_and_know_no_gain_or_offset():
+def test_correlations_match_numpy_for_any_gain_and_offset():
     rng = np.random.default_rng(0)
     patterns, readings = rng.normal(size=(5, 36)), rng.normal(size=(3, 36))
     expected = np.corrcoef(readings, patterns)[:3, 3:]
@@ -37,6 +39,6 @@ def test_correlations_are_numpys_and_know_no_gain_or_offset():
     np.testing.assert_allclose(correlations(patterns, 7 + 30 * readings), expected, atol=1e-12)
 
 
-def test_a_flat_reading_resembles_nothing():
+def test_uniform_samples_have_correlation_zero():
     assert not standardised(np.full((1, 36), 5.0)).any()
     assert not correlations(np.eye(4), np.full((1, 4), 128.0)).any()

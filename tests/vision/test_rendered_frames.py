@@ -1,6 +1,6 @@
-"""The detector on rendered frames whose truth is known, at the noise and blur its table was measured at.
+"""Detection in rendered frames with ground truth, at the noise and blur of the accuracy table.
 
-Default: 4 frames of 16 markers a size. `pytest -m slow` measures 6, and 100 frames a size.
+The fast tests use 4 frames of 16 markers per side, and `pytest -m slow` uses 6 and 100 frames.
 """
 
 from dataclasses import dataclass
@@ -30,14 +30,14 @@ def wrap(angle: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Measured:
-    """Errors over the markers found at one true side."""
+    """Errors of the detected markers at one true side."""
 
     side_px: float
     recall: float
     false: int
     error: np.ndarray  # (M, 3) u, v in px, heading in rad
     covariances: np.ndarray  # (M, 3, 3)
-    sides_px: np.ndarray  # (M,) as measured
+    sides_px: np.ndarray  # (M,) measured
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def renderer() -> Renderer:
 
 
 def measure(renderer: Renderer, side_px: float, frames: int, seed: int) -> Measured:
-    """Markers on a jittered grid, all cards whole, at any heading, id, yaw and place on the ground."""
+    """Measure fully visible markers on a jittered grid, with random heading, id, yaw and ground position."""
     rng = np.random.default_rng([seed, int(side_px)])
     detector = create_detector(dictionary=DICTIONARY)
     found, false, errors, covariances, sides = 0, 0, [], [], []
@@ -89,15 +89,16 @@ def measured(renderer: Renderer, request: pytest.FixtureRequest) -> dict[float, 
 
 
 def check_sides(results: list[Measured]) -> None:
-    """The issue's figure, 1 %. The mean of 60 markers has a standard error of 0.12 % at 15 px, less above."""
+    """Check a bias of at most 1 %. The standard error of 60 markers is 0.12 % at 15 px, and less above."""
     bias = {r.side_px: r.sides_px.mean() / r.side_px - 1 for r in results}
     assert max(np.abs(list(bias.values()))) < 0.01, bias
 
 
 def check_recall(results: list[Measured]) -> None:
-    """The issue's figure, 98 % from 18 px, over all sizes together and at each but for binomial scatter.
+    """Check a recall of 98 % from 18 px, for all sides together, and for each within binomial scatter.
 
-    At a true recall of 0.98, 64 markers lose more than 5 with a chance under 2e-3, 96 more than 7 under 1e-3.
+    At a true recall of 0.98, the probability of more than 5 misses of 64 markers is below 2e-3. That of more
+    than 7 misses of 96 is below 1e-3.
     """
     results = [r for r in results if r.side_px >= 18]
     recalls = {r.side_px: r.recall for r in results}
@@ -109,11 +110,12 @@ def check_recall(results: list[Measured]) -> None:
 
 
 def check_covariances(results: list[Measured], kurtosis: float) -> None:
-    """RMS errors are those the table states, in position and in heading, at every size and over all.
+    """Check that RMS errors match the reported covariances, per side and for all sides.
 
-    For n values of kurtosis K the mean square scatters by sqrt((K - 1) / n); K = 2 + 1 is normal, and
-    chi-square. Contour-fitted corners have heavier tails, rarely by a pixel. 4.5 such deviations, and 15 %
-    for the table: it is linear between sizes, and itself measured on 1600 markers a size.
+    The mean square of n values of kurtosis K has the relative standard deviation sqrt((K - 1) / n). K is 3
+    for normal errors. Contour-fitted corners have heavier tails, rarely of a pixel. The tolerance is 4.5
+    standard deviations, plus 15 % for the table. It is linear between sides, and measured on 1600 markers a
+    side.
     """
     total, count = 0.0, 0
     for r in results:
@@ -139,12 +141,12 @@ def test_recall_is_98_percent_from_18_px(measured) -> None:
     check_recall(list(measured.values()))
 
 
-def test_centres_are_within_the_shipped_tables_rms(measured) -> None:
-    """Chi-square of the centres: the bulk (90 % of the markers, without the tails) against its quantile.
+def test_centre_errors_match_the_accuracy_table(measured) -> None:
+    """The share of squared errors below the 90 % quantile of chi-square is at least 0.9.
 
-    Squared errors of u and v over the table's variance are chi-square of 2 degrees of freedom for normal
-    errors, 90 % of them below 4.61. The share below is then 0.9 but for 5 binomial deviations; tails
-    heavier than normal at the same RMS only put more into the bulk.
+    For normal errors, the squared errors of u and v over the table's variance have a chi-square distribution
+    with 2 degrees of freedom, and 90 % are below 4.61. The tolerance is 5 binomial standard deviations.
+    Heavier tails at the same RMS increase the share.
     """
     table = load_accuracy("photometric")
     for r in measured.values():
@@ -154,13 +156,13 @@ def test_centres_are_within_the_shipped_tables_rms(measured) -> None:
         assert share > 0.9 - 5 * np.sqrt(0.09 / squares.size), f"{r.side_px} px"
 
 
-def test_covariances_are_honest(measured) -> None:
+def test_covariances_match_the_errors(measured) -> None:
     check_covariances(list(measured.values()), kurtosis=20.0)
 
 
 @pytest.mark.slow
-def test_the_full_measurement(renderer) -> None:
-    """100 frames a size: 1600 markers, as the shipped table was measured."""
+def test_full_measurement_meets_all_requirements(renderer) -> None:
+    """100 frames, 1600 markers a side, as for the accuracy table."""
     results = [measure(renderer, side, 100, 2) for side in (*SIDES_PX, 20.0, 23.0, 34.0, 50.0)]
     check_sides(results)
     check_recall(results)
@@ -171,10 +173,11 @@ def test_the_full_measurement(renderer) -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.2, -2.5])
-def test_a_robot_that_drives_forward_moves_along_its_image_heading(renderer, yaw) -> None:
-    """Detected before and after 2 m (50 px) ahead: the way points along the detected headings.
+def test_robot_driving_forward_moves_along_its_image_heading(renderer, yaw) -> None:
+    """Detections before and after 2 m (50 px) ahead: the displacement has the direction of the heading.
 
-    Centres of 0.035 px over 50 px leave 0.06 deg, headings themselves 0.25 deg: 6 deviations are 1.5 deg.
+    Centre errors of 0.035 px over 50 px are 0.06 deg, and heading errors 0.25 deg. The tolerance of 1.5 deg
+    is 6 standard deviations.
     """
     camera, pose = Camera((IMAGE_PX, IMAGE_PX), 250.0), CameraPose((3.0, -1.0), 10.0, yaw)
     ids, headings = np.array([1, 5, 9, 30]), np.array([0.1, 1.9, -2.4, -1.0])
@@ -194,11 +197,11 @@ def test_a_robot_that_drives_forward_moves_along_its_image_heading(renderer, yaw
 
 
 @pytest.mark.smoke
-def test_corners_zero_and_one_lie_ahead_left_then_right(renderer) -> None:
+def test_corners_0_and_1_are_front_left_and_front_right(renderer) -> None:
     camera, pose = Camera((200, 200), 400.0), CameraPose((0.0, 0.0), 10.0)
     image = renderer.render(
         Shot(camera, pose, np.array([7]), np.zeros((1, 2)), np.array([np.pi / 2]))
-    )  # north: image up
+    )  # north is up in the image
     seen = create_detector(dictionary=DICTIONARY).detect(image)
     assert seen.headings_rad[0] == pytest.approx(-np.pi / 2, abs=0.02)
     np.testing.assert_allclose(
@@ -206,8 +209,8 @@ def test_corners_zero_and_one_lie_ahead_left_then_right(renderer) -> None:
     )
 
 
-def test_pose_of_corners_is_the_least_squares_square() -> None:
-    """Exact on squares: unit corners turned by h, scaled by s, moved to c."""
+def test_pose_of_corners_is_exact_on_squares() -> None:
+    """Unit corners rotated by h, scaled by s and moved to c."""
     rng = np.random.default_rng(3)
     for _ in range(20):
         c, h, s = rng.uniform(0, 800, 2), rng.uniform(-np.pi, np.pi), rng.uniform(10, 80)
@@ -219,11 +222,11 @@ def test_pose_of_corners_is_the_least_squares_square() -> None:
         assert side[0] == pytest.approx(s, rel=1e-12)
 
 
-# --- what must not be detected, and what must be said ---
+# --- invalid images, and explanations ---
 
 
 def picture(renderer: Renderer, ids: list[int], *, mirrored: bool = False) -> np.ndarray:
-    """Up to four markers of 40 px in an image 400 px wide."""
+    """Return an image 400 px wide with up to four markers of 40 px."""
     camera, pose = Camera((400, 400), 400.0, mirrored=mirrored), CameraPose((0.0, 0.0), 10.0, 0.2)
     places = np.array([[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [-2.0, 2.0]])[: len(ids)]
     return renderer.render(
@@ -232,7 +235,7 @@ def picture(renderer: Renderer, ids: list[int], *, mirrored: bool = False) -> np
 
 
 @pytest.mark.smoke
-def test_a_mirrored_stream_decodes_nothing_and_that_is_said(renderer) -> None:
+def test_mirrored_image_has_no_markers_and_an_explanation(renderer) -> None:
     detector = create_detector(dictionary=DICTIONARY)
     image = picture(renderer, [3, 12, 21, 40], mirrored=True)
     assert len(detector.detect(image)) == 0
@@ -241,8 +244,8 @@ def test_a_mirrored_stream_decodes_nothing_and_that_is_said(renderer) -> None:
     assert detector.detect(cv2.flip(image, 1)).ids.tolist() == [3, 12, 21, 40]
 
 
-def test_some_markers_of_4x4_50_are_their_own_mirror_image() -> None:
-    """8, 9, 17 and 47 decode in a mirrored stream as themselves: it need not look empty."""
+def test_four_markers_of_4x4_50_are_symmetric() -> None:
+    """8, 9, 17 and 47 decode with their own ids in a mirrored image."""
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     alike = []
     for marker_id in range(50):
@@ -253,8 +256,8 @@ def test_some_markers_of_4x4_50_are_their_own_mirror_image() -> None:
 
 
 @pytest.mark.parametrize("name", ["triangle", "star"])
-def test_a_run_through_a_mirrored_camera_is_refused(scenario_tree, name) -> None:
-    """Also where robots 8 and 9 are in view, whose markers are their own mirror images."""
+def test_run_with_a_mirrored_camera_is_refused(scenario_tree, name) -> None:
+    """Also with robots 8 and 9 in view, whose markers are symmetric."""
     tree = scenario_tree(name) | {"duration_s": 0.1}
     for unit in tree["units"]:
         unit["camera"]["mirrored"] = True
@@ -262,14 +265,14 @@ def test_a_run_through_a_mirrored_camera_is_refused(scenario_tree, name) -> None
         list(run_steps(make_mission(tree)))
 
 
-def test_an_empty_image_is_not_explained_away(renderer) -> None:
+def test_empty_image_is_not_explained_as_mirrored(renderer) -> None:
     detector = create_detector(dictionary=DICTIONARY)
     image = picture(renderer, [])
     assert len(detector.detect(image)) == 0
     assert explain_mirrored(image, DICTIONARY) is None
 
 
-def test_an_id_that_is_seen_twice_is_left_out(renderer) -> None:
+def test_repeated_id_is_left_out(renderer) -> None:
     seen = create_detector(dictionary=DICTIONARY).detect(picture(renderer, [3, 8, 3, 40]))
     assert seen.ids.tolist() == [8, 40]
 
@@ -285,12 +288,12 @@ def test_an_id_that_is_seen_twice_is_left_out(renderer) -> None:
     ],
     ids=["colour", "float", "16 bits", "one row", "empty"],
 )
-def test_only_grey_images_of_8_bits_are_taken(image) -> None:
+def test_images_other_than_grey_uint8_are_refused(image) -> None:
     with pytest.raises(InputError, match=r"grey, \(height, width\), uint8"):
         create_detector(dictionary=DICTIONARY).detect(image)
 
 
-def test_an_unknown_detector_or_dictionary_is_named_with_those_there_are() -> None:
+def test_unknown_detector_or_dictionary_error_lists_valid_names() -> None:
     with pytest.raises(InputError, match="no detector 'yolo'; one of apriltag3, locus-tag"):
         create_detector("yolo")
     with pytest.raises(InputError, match="no dictionary '9X9_1'") as raised:
@@ -298,15 +301,15 @@ def test_an_unknown_detector_or_dictionary_is_named_with_those_there_are() -> No
     assert all(name in str(raised.value) for name in dictionary_names())
 
 
-def test_detecting_does_not_change_the_image(renderer) -> None:
+def test_detection_does_not_change_the_image(renderer) -> None:
     image = picture(renderer, [3, 8])
     before = image.copy()
     create_detector(dictionary=DICTIONARY).detect(image)
     np.testing.assert_array_equal(image, before)
 
 
-def test_one_detector_serves_images_of_several_sizes(renderer) -> None:
-    """Settings are in pixels: the same marker is found in a small picture and in a large one around it."""
+def test_one_detector_accepts_images_of_several_sizes(renderer) -> None:
+    """The same markers are found in a small image and in a larger image around it."""
     detector = create_detector(dictionary=DICTIONARY)
     small = picture(renderer, [3, 8])
     large = np.full((1200, 1600), 128, np.uint8)
@@ -317,7 +320,7 @@ def test_one_detector_serves_images_of_several_sizes(renderer) -> None:
     assert detector.detect(small).centers_px.tolist() == one.centers_px.tolist()
 
 
-def test_detections_carry_their_unit_time_and_size(renderer) -> None:
+def test_detections_have_unit_time_and_image_size(renderer) -> None:
     seen: Detections = create_detector(dictionary=DICTIONARY).detect(
         picture(renderer, [3]), time_s=2.5, unit_id=4
     )
@@ -326,8 +329,8 @@ def test_detections_carry_their_unit_time_and_size(renderer) -> None:
     assert wide.image_size_px.tolist() == [70, 30] and len(wide) == 0
 
 
-def test_markers_that_are_no_robots_are_ignored_by_the_controller(renderer) -> None:
-    """A stray marker 40 in view changes neither goals nor flight nor what is reported."""
+def test_controller_ignores_markers_that_are_no_robots(renderer) -> None:
+    """A marker 40 that is no robot changes neither the goals nor the report."""
     template = Template(np.array([3, 8, 21]), np.array([0, 1, 1j]))
     seen = create_detector(dictionary=DICTIONARY).detect(picture(renderer, [3, 8, 21, 40]))
     assert 40 in seen.ids

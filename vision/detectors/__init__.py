@@ -1,4 +1,5 @@
-"""Detectors by name behind one interface: the package's own, OpenCV's, others', and measured errors of each.
+"""Detectors behind one interface, created by name, and their measured errors.
 
-`registry` has the interface, `Detector`, and the function that creates detectors by name.
+`registry` has the interface `Detector` and the factory function `create_detector`. `peers` wraps the
+detectors of OpenCV and of other libraries. `accuracy` reads the tables of measured errors.
 """

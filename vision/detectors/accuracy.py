@@ -1,8 +1,8 @@
-"""What was measured of the detectors' errors, and the biases that are subtracted from their results.
+"""Measured recall and errors of the detectors, and the constant biases to subtract from their results.
 
-The tables are measured on rendered images: by `benchmarks/detector_accuracy.py` what is found, and errors, by
-size of code, noise, blur and size; by `benchmarks/peer_biases.py` constant biases, at the noise and blur that
-are named there.
+All tables are measured on rendered images. `benchmarks/detector_accuracy.py` measures recall and errors by
+code size, noise, blur and marker side. `benchmarks/peer_biases.py` measures constant biases at noise 2 and
+blur 0.8 px, averaged over marker sides.
 """
 
 import tomllib
@@ -18,26 +18,25 @@ from skyherd.geometry import Array, BoolArray
 from skyherd.markers.dictionary import cells_per_side
 
 MEASURED_AS = {"photometric": "photometric", "tracking": "photometric", "opencv": "opencv"}
-"""Detectors whose errors were measured, and whose table has them: following markers changes the time taken,
-not the errors."""
+"""Measured detectors, and the detector whose table applies: following markers changes the time, not the
+errors."""
 
 MIN_SIDE_PX = 1.0
-"""Smallest side, px, that is left after a bias has been subtracted: `Detections` takes positive sides
-only."""
+"""Smallest side after subtraction of a bias, px. Chosen: `Detections` accepts positive sides only."""
 
 
 @dataclass(frozen=True)
 class DetectorAccuracy:
-    """What one detector finds, and with what errors, at K marker sides; in between, linear in the side.
+    """Recall and error standard deviations of one detector at K marker sides, interpolated linearly.
 
     Attributes:
         sides_px: (K,) true sides.
-        recall: (K,) share of the markers that are found; none is below the first side.
-        position_std_px: (K,) standard deviations of each of u and v.
-        heading_std_rad: (K,) standard deviations of the heading.
-        side_std: (K,) standard deviations of the side, as a share of it.
-        squeeze_std: (K,) standard deviations of each of the two squeezes a and b of the marker's square,
-            which take a point (x, y) about its centre to `(x + a x + b y, y + b x - a y)`.
+        recall: (K,) share of the markers that are detected; 0 below the first side.
+        position_std_px: (K,) standard deviation of u and of v.
+        heading_std_rad: (K,) standard deviation of the heading.
+        side_std: (K,) relative standard deviation of the side.
+        squeeze_std: (K,) standard deviation of each anisotropy component a and b of the marker's square. They
+            map a point (x, y) relative to the centre to `(x + a x + b y, y + b x - a y)`.
     """
 
     sides_px: Array
@@ -50,7 +49,7 @@ class DetectorAccuracy:
     def covariances(self, sides_px: Array) -> Array:
         """Return covariances (N, 3, 3) of (u, v, heading) for markers of true sides (N,), px.
 
-        They are diagonal, in px², px² and rad². Beyond the table its first and last rows hold.
+        They are diagonal, in px², px² and rad². Outside the table, the first or last row applies.
         """
         covariances = np.zeros((sides_px.size, 3, 3))
         covariances[:, 0, 0] = np.interp(sides_px, self.sides_px, self.position_std_px) ** 2
@@ -59,22 +58,22 @@ class DetectorAccuracy:
         return covariances
 
     def found(self, sides_px: Array, rng: np.random.Generator) -> BoolArray:
-        """Draw which of N markers of true sides (N,), px, are found, each for itself."""
+        """Draw a mask (N,) of the detected markers, independently, for true sides (N,), px."""
         return np.asarray(
             rng.random(sides_px.size) < np.interp(sides_px, self.sides_px, self.recall, left=0.0)
         )
 
     def draw_shapes(self, sides_px: Array, turns_rad: Array, rng: np.random.Generator) -> Array:
-        """Draw errors of the size and shape of N squares of true sides (N,), px, that are turned as well.
+        """Draw errors of side and anisotropy for N squares, and combine them with given heading errors.
 
         Args:
             sides_px: (N,) true sides.
-            turns_rad: (N,) errors of their headings, from +u to +v.
-            rng: draws.
+            turns_rad: (N,) heading errors, from +u to +v.
+            rng: random number generator.
 
         Returns:
-            Matrices (N, 2, 2) that take the true corners about the centre to those measured: to first order
-            the identity, the turn, and errors of the side and of both squeezes.
+            Matrices (N, 2, 2) that map the true corners relative to the centre to the measured ones. To first
+            order they are the identity plus the rotation, the side error and both anisotropy components.
         """
         grow = np.interp(sides_px, self.sides_px, self.side_std) * rng.standard_normal(sides_px.size)
         squeeze = np.interp(sides_px, self.sides_px, self.squeeze_std)
@@ -84,39 +83,38 @@ class DetectorAccuracy:
 
 @dataclass(frozen=True)
 class ConstantBias:
-    """Parts of a detector's error that are the same at every size.
+    """Bias of a detector that does not depend on the marker's side.
 
     Attributes:
-        position_px: mean error of u, and of v.
-        side_px: mean of measured minus true side.
+        position_px: mean error of u and of v.
+        side_px: mean of the measured minus the true side.
     """
 
     position_px: float
     side_px: float
 
     def true_sides_px(self, measured_px: Array) -> Array:
-        """Return measured sides (N,), px, with the bias subtracted, `MIN_SIDE_PX` at least."""
+        """Return measured sides (N,), px, minus the bias, and at least `MIN_SIDE_PX`."""
         return np.maximum(measured_px - self.side_px, MIN_SIDE_PX)
 
 
 def load_accuracy(
     detector: str, *, dictionary: str = "4X4_50", noise: float = 2.0, psf_px: float = 0.8
 ) -> DetectorAccuracy:
-    """Return what was measured of a detector, from `<detector>_accuracy.toml` in this package.
+    """Return the measured accuracy of a detector, from `<detector>_accuracy.toml` in this package.
 
-    The tables are of three sizes of code, several noises and several blurs, by the size of a cell. Of the
-    codes the one nearest to the dictionary's is taken. Between the noises and blurs the values are linear;
-    below the least ones theirs hold, which errs on the safe side.
+    The tables have three code sizes, several noises and several blurs, by cell size. The code size nearest to
+    the dictionary's applies. Values are interpolated linearly in noise and blur. Below the smallest measured
+    noise or blur, its values apply, which overestimates the errors.
 
     Args:
         detector: name of the detector.
-        dictionary: of the markers.
-        noise: standard deviation of the sensor's noise, grey levels.
-        psf_px: standard deviation of the lens's blur.
+        dictionary: name of the marker dictionary.
+        noise: standard deviation of the sensor noise, grey levels.
+        psf_px: standard deviation of the lens blur.
 
     Raises:
-        InputError: nothing was measured of that detector (`MEASURED_AS` has those of which something was), or
-            not at so much noise or blur.
+        InputError: the detector is not in `MEASURED_AS`, or the noise or blur exceeds the measured range.
     """
     if detector not in MEASURED_AS:
         what = f"nobody measured the noise of {detector!r}"
@@ -145,7 +143,7 @@ def load_accuracy(
 
 
 def _between(grid: Array, at: Array, value: float) -> Array:
-    """The grid (A, ...) at a value between the A places `at`, linear; the first one below them."""
+    """Return the grid (A, ...), interpolated linearly between the A nodes `at` and clamped to them."""
     above = int(np.clip(np.searchsorted(at, value), 1, at.size - 1))
     share = float(np.clip((value - at[above - 1]) / (at[above] - at[above - 1]), 0.0, 1.0))
     return np.asarray((1 - share) * grid[above - 1] + share * grid[above])
@@ -153,10 +151,10 @@ def _between(grid: Array, at: Array, value: float) -> Array:
 
 @cache
 def load_bias(detector: str) -> ConstantBias:
-    """Return the constant bias measured of a detector, from `peer_biases.toml` in this package.
+    """Return the measured constant bias of a detector, from `peer_biases.toml` in this package.
 
     Raises:
-        KeyError: nothing was measured of that detector.
+        KeyError: the table has no such detector.
     """
     row = _read_table("peer_biases.toml")[detector]
     return ConstantBias(position_px=row["position_bias_px"], side_px=row["side_bias_px"])

@@ -1,4 +1,4 @@
-"""What detectors that report corners share: OpenCV's answer as arrays, and detections from corners."""
+"""Helpers for detectors that report corners: OpenCV's result as arrays, and detections from corners."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from skyherd.vision.grey import Image
 
 
 def opencv_corners(detector: cv2.aruco.ArucoDetector, image: Image) -> tuple[IntArray, Array]:
-    """Return ids (K,), with repeated ones, and corners (K, 4, 2) that an OpenCV detector finds."""
+    """Return the ids (K,), possibly repeated, and corners (K, 4, 2), px, from an OpenCV detector."""
     corners, ids, _ = detector.detectMarkers(image)
     if len(corners) == 0:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2))
@@ -28,17 +28,17 @@ def detections_of_corners(
     time_s: float,
     unit_id: int,
 ) -> Detections:
-    """Return detections of markers whose corners were found; each is scaled about its centre to a given side.
+    """Return detections from marker corners, each quadrilateral scaled about its centre to a given side.
 
     Args:
-        image: in which they were found; only its size is used.
-        ids: (N,) marker ids, ascending, each once.
+        image: source of the corners; only its size is used.
+        ids: (N,) marker ids, ascending and unique.
         corners_px: (N, 4, 2) in the order of `skyherd.geometry.SQUARE_CORNERS`; their means are the centres.
         headings_rad: (N,) from +u to +v.
-        sides_px: (N,) corrected sides, to which the corners are scaled.
-        covariances: (N, 3, 3) of (u, v, heading); all zero for unknown.
-        time_s: when the image was taken.
-        unit_id: whose image it is.
+        sides_px: (N,) corrected sides; the corners are scaled to them.
+        covariances: (N, 3, 3) of (u, v, heading); all zero if unknown.
+        time_s: time of the image.
+        unit_id: aerial unit of the image.
     """
     centers, _, measured_px = pose_of_corners(corners_px)
     growth = (sides_px / measured_px)[:, None, None]

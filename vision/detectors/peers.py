@@ -1,18 +1,16 @@
-"""Detectors by others behind the package's interface: `cv2.aruco` as it comes, AprilTag 3, and locus-tag.
+"""Wrappers of other libraries' detectors: `cv2.aruco`, AprilTag 3 and locus-tag.
 
-They run at their own defaults, which is what their users have. Constant errors are subtracted and documented
-here; with `corrected=False` they are left in:
+They run at the defaults of their libraries. Constant errors are subtracted unless `corrected=False`:
 
-- the point taken as a pixel's centre: OpenCV's APRILTAG refinement is off by +0.46 px in u and v, AprilTag 3
-  and locus-tag by +0.50 px;
-- the marker's side, which OpenCV's refinements and contours make too short by 0.6 to 1.3 px at any size;
-- the order of the corners: AprilTag's run the other way round from OpenCV's, and its tags stand upside down,
-  so that headings differ by 180 degrees. Those of locus-tag are OpenCV's, in all its families.
+- **Pixel centre.** OpenCV's APRILTAG refinement has an offset of +0.46 px in u and v, AprilTag 3 and
+  locus-tag of +0.50 px.
+- **Side.** OpenCV underestimates it by 0.5 to 1.15 px, except with the APRILTAG refinement.
+- **Corner order.** AprilTag's corners run in the opposite direction to OpenCV's, and its tags are rotated by
+  180 degrees. The corners of locus-tag have OpenCV's order in all its families.
 
-`benchmarks/peer_biases.py --write` measures the first two into `peer_biases.toml`. Of the poses that four
-corners give, these detectors get the best one: the centre is the mean of the corners, and the heading that of
-the nearest square in the plane of the image's markers (`headings_in_plane`). None of them reports a
-covariance, and none is made up: theirs are zero, which means unknown.
+`benchmarks/peer_biases.py --write` measures the first two into `peer_biases.toml`. The centre is the mean of
+the corners. The heading is that of the nearest square in the common plane of the image's markers
+(`headings_in_plane`). These libraries report no covariances, so covariances are zero, which means unknown.
 """
 
 from collections.abc import Callable
@@ -40,14 +38,14 @@ REFINEMENTS = {
     "opencv-contour": cv2.aruco.CORNER_REFINE_CONTOUR,
     "opencv-apriltag": cv2.aruco.CORNER_REFINE_APRILTAG,
 }
-"""Peers made of `cv2.aruco`, by name: its default parameters with each of its corner refinements."""
+"""Corner refinement of each `cv2.aruco` detector, by name; all other parameters are OpenCV's defaults."""
 
 APRILTAG_FAMILIES = {"APRILTAG_16h5": "tag16h5", "APRILTAG_25h9": "tag25h9", "APRILTAG_36h11": "tag36h11"}
-"""OpenCV's dictionaries that AprilTag 3 can read, with the names that pupil-apriltags has for them."""
+"""Names in pupil-apriltags of the OpenCV dictionaries that AprilTag 3 supports."""
 
 APRILTAG_CORNERS, OPENCV_CORNERS = [3, 2, 1, 0], [1, 0, 3, 2]
-"""Indices into AprilTag's corners that put them clockwise from its own top left, and from OpenCV's corner 0
-of the same marker."""
+"""Permutations of AprilTag's corners to clockwise order, from the tag's own top left and from OpenCV's
+corner 0."""
 
 LOCUS_FAMILIES = {
     "4X4_50": "ArUco4x4_50",
@@ -57,32 +55,33 @@ LOCUS_FAMILIES = {
     "APRILTAG_16h5": "AprilTag16h5",
     "APRILTAG_36h11": "AprilTag36h11",
 }
-"""Dictionaries that locus-tag can read, with the names that it has for them."""
+"""Names in locus-tag of the dictionaries that it supports."""
 
 TILT_MIN_MARKERS = 3
-"""Smallest number of markers from which a tilt is estimated. Derived: two markers have as many squeezes as
-the plane has unknowns, so that nothing would be averaged."""
+"""Smallest number of markers for an estimate of the tilt. Derived: the anisotropies of two markers determine
+the plane's unknowns without redundancy."""
 
 
 class _Finder(Protocol):
     def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
-        """Ids (K,), repeated ones too, and corners (K, 4, 2)."""
+        """Return the ids (K,), possibly repeated, and the corners (K, 4, 2), px."""
         ...
 
 
 class PeerDetector:
-    """A detector of another library, by name; implements `skyherd.vision.Detector`.
+    """Detector of another library; implements `skyherd.vision.Detector`.
 
-    Of an id that is found several times, the largest quadrilateral counts. Covariances are zero, which means
-    unknown. Nothing is kept from one image to the next.
+    If an id is detected several times, the largest quadrilateral is reported. Covariances are zero, which
+    means unknown. The detector keeps no state between images.
 
     Args:
         name: one of `peer_names()`.
-        dictionary: of the markers.
-        corrected: whether constant biases are subtracted and corners put in the package's order.
+        dictionary: name of the marker dictionary.
+        corrected: whether to subtract constant biases and to reorder corners to the package's convention.
 
     Raises:
-        InputError: there is no such dictionary, the library does not know it, or it is not installed.
+        InputError: the name or dictionary is unknown, the library does not support the dictionary, or the
+            library is not installed.
     """
 
     def __init__(self, name: str, dictionary: str, *, corrected: bool = True) -> None:
@@ -94,10 +93,10 @@ class PeerDetector:
         )
 
     def detect(self, image: npt.NDArray[np.uint8], *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
-        """Return the markers in a grey image (height, width) of 8 bits, in ascending order of id.
+        """Return the markers in a grey image (height, width), uint8, in ascending order of id.
 
         Raises:
-            InputError: the image is not a grey one of 8 bits.
+            InputError: the image is not a grey image of uint8.
         """
         image = check_grey(image)
         ids, corners = _largest_of_each(*self.find_all(image))
@@ -113,12 +112,12 @@ class PeerDetector:
         )
 
     def find_all(self, image: npt.NDArray[np.uint8]) -> tuple[IntArray, Array]:
-        """Return ids (K,), which may repeat, and corners (K, 4, 2), px, of all that is found in an image.
+        """Return ids (K,), possibly repeated, and corners (K, 4, 2), px, of all detections in an image.
 
-        Corners are corrected as those that `detect` returns. Quadrilaterals without an area are left out.
+        The corners have the same corrections as in `detect`. Quadrilaterals of zero area are left out.
 
         Raises:
-            InputError: the image is not a grey one of 8 bits.
+            InputError: the image is not a grey image of uint8.
         """
         ids, corners = self._finder.find(check_grey(image), corrected=self.corrected)
         centers, _, sides = pose_of_corners(corners)
@@ -132,17 +131,17 @@ class PeerDetector:
 
 
 def peer_names() -> list[str]:
-    """Return the names of the detectors by others, whether their libraries are installed or not."""
+    """Return the names of the wrapped detectors, including those whose library is not installed."""
     return [*REFINEMENTS, *_OTHERS]
 
 
 def headings_in_plane(corners_px: Array) -> Array:
     """Return headings (N,), rad, of markers with corners (N, 4, 2) in one plane, which may be tilted.
 
-    Seen at a slant, a marker with arm m at p has the squeeze `k = (α - p λ / 2) m̄` to first order
-    (`vision/photometric/fitting/plane.py`); α and λ follow from all markers by least squares without weights,
-    since corners come without covariances. Forward, z = -i of the marker, is then along `-i (m - k)`. Fewer
-    than `TILT_MIN_MARKERS` markers are taken as seen from straight above.
+    Under tilt, a marker at p with similarity m has the anisotropy `k = (α - p λ / 2) m̄` to first order
+    (`vision/photometric/fitting/plane.py`). α and λ are estimated from all markers by unweighted least
+    squares, because the corners have no covariances. With fewer than `TILT_MIN_MARKERS` markers, no tilt is
+    assumed.
     """
     squares = fit_squares(to_complex(corners_px))
     if len(corners_px) < TILT_MIN_MARKERS:
@@ -151,18 +150,19 @@ def headings_in_plane(corners_px: Array) -> Array:
     design = squeeze_design_matrix(away)
     relative = squares.anisotropies / squares.similarities.conj()
     squeezes = design @ np.linalg.lstsq(design, relative, rcond=None)[0] * squares.similarities.conj()
+    # The forward axis of a marker, z = -i, maps to -i (m - k).
     return np.asarray(np.angle(-1j * (squares.similarities - squeezes)))
 
 
 def _largest_of_each(ids: IntArray, corners: Array) -> tuple[IntArray, Array]:
-    """Each id once, ascending, with the largest quadrilateral found for it."""
+    """Return unique ids, ascending, each with its largest quadrilateral."""
     order = np.lexsort((-pose_of_corners(corners)[2], ids))
     unique, first = np.unique(ids[order], return_index=True)
     return unique, corners[order[first]]
 
 
 class _OpenCV:
-    """`cv2.aruco.ArucoDetector` at its default parameters but for the refinement."""
+    """`cv2.aruco.ArucoDetector` with default parameters, except for the refinement and the border."""
 
     def __init__(self, dictionary: str, refinement: int) -> None:
         parameters = cv2.aruco.DetectorParameters()
@@ -176,7 +176,7 @@ class _OpenCV:
 
 @cache
 def _apriltag_library_detector(family: str) -> Any:
-    """The library's detector, one for each family and never freed.
+    """Return the library's detector for a family; it is created once and never freed.
 
     pupil-apriltags frees a family before the detector that refers to it, which crashes the interpreter.
     """
@@ -189,13 +189,13 @@ def _apriltag_library_detector(family: str) -> Any:
 
     class Kept(library.Detector):  # type: ignore[misc]
         def __del__(self) -> None:
-            """Leave the memory to the end of the process."""
+            """Do not free the memory before the process ends."""
 
     return Kept(families=family, nthreads=1, quad_decimate=1.0)
 
 
 class _AprilTag3:
-    """AprilTag 3 through pupil-apriltags, at full resolution: its default halves the image first."""
+    """AprilTag 3 by pupil-apriltags, at full resolution; the library's default halves the image."""
 
     def __init__(self, dictionary: str) -> None:
         if dictionary not in APRILTAG_FAMILIES:
@@ -212,7 +212,7 @@ class _AprilTag3:
 
 
 class _Locus:
-    """locus-tag with its standard profile, on one thread."""
+    """locus-tag with its standard profile and one thread."""
 
     def __init__(self, dictionary: str) -> None:
         where = "detector locus-tag"
@@ -231,4 +231,4 @@ class _Locus:
 
 
 _OTHERS: dict[str, Callable[[str], _Finder]] = {"apriltag3": _AprilTag3, "locus-tag": _Locus}
-"""Peers of other libraries than OpenCV, by name."""
+"""Wrappers of libraries other than OpenCV, by detector name."""

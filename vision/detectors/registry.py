@@ -1,7 +1,7 @@
-"""The interface that every marker detector has, and the creation of detectors by name.
+"""The interface of marker detectors, and the factory function that creates them by name.
 
-Other detectors need no change here. `create_detector("module:factory")` imports one. A package gives its
-detector a name by an entry point in the group `skyherd.detectors`, whose value is such a factory:
+`create_detector("module:factory")` imports a detector from another package. A package registers a name for
+its detector by an entry point in the group `skyherd.detectors`:
 
     [project.entry-points."skyherd.detectors"]
     own = "own_package:Detector"
@@ -24,72 +24,74 @@ from skyherd.plugins import import_factory
 from skyherd.text import one_of
 from skyherd.vision.detectors.peers import PeerDetector, peer_names
 from skyherd.vision.grey import Image, check_grey
-from skyherd.vision.photometric.deferring import DeferringDetector
-from skyherd.vision.photometric.detector import PhotometricDetector
+from skyherd.vision.photometric.detector import DeferringDetector, PhotometricDetector
 
 DEFAULT_DETECTOR = "photometric"
-"""Detector where none is named: it finds what OpenCV's does and more, and is the most precise."""
+"""Default detector. Chosen: the most accurate, with a recall of at least OpenCV's."""
 
 DEFAULT_DICTIONARY = "4X4_50"
-"""Marker dictionary where none is named: OpenCV's first 50 markers of 4 x 4 bits."""
+"""Default marker dictionary: OpenCV's first 50 markers of 4 x 4 bits."""
 
 
 class Detector(Protocol):
-    """Finds oriented square markers of one dictionary in grey images. A new detector implements `detect`.
+    """Detector of the oriented square markers of one dictionary. An implementation defines `detect`.
 
-    **Input.** `image` is an array (height, width) of uint8, row 0 at the top. Callers may pass any array that
-    is not grey, of another type or empty: the detector raises InputError for it
-    (`skyherd.vision.grey.check_grey` does). It must not change the array or keep a reference to it. An image
-    may have any size, and no marker.
+    **Input.** `image` is an array (height, width) of uint8, row 0 at the top. For an array that is not grey,
+    of another type, or empty, the detector raises InputError (`skyherd.vision.grey.check_grey`). The detector
+    must not change the array or keep a reference to it. Images of any size, and without markers, are valid.
 
-    **Coordinates.** Points are (u, v), px, with u to the right and v down; (0, 0) is the *centre* of the
-    first pixel. A detector that puts pixel centres at (0.5, 0.5) subtracts that. Headings are angles from +u
-    towards +v, rad, of the marker's forward direction: from its centre to the middle of the edge between
-    corners 0 and 1, which is row 0 of its cells.
+    **Coordinates.** Points are (u, v), px, u right and v down. (0, 0) is the *centre* of the first pixel. A
+    detector with pixel centres at (0.5, 0.5) subtracts 0.5. Headings are angles from +u towards +v, rad, of
+    the marker's forward axis. It points from the centre to the middle of the edge between corners 0 and 1,
+    which is row 0 of its cells.
 
-    **Result.** A `skyherd.messages.Detections` with one row for each marker:
+    **Result.** A `skyherd.messages.Detections` with one row per marker:
 
-    - `unit_id` and `time_s` as they were given, `image_size_px` as (width, height).
-    - `ids` (N,), int: indices into the dictionary, mostly each once. Ascending order is customary, but
-      nothing relies on it. Every marker of the dictionary that is seen is reported: the detector does not
-      know which ids are robots or obstacles, and the receiver ignores ids that it does not know. Squares
-      that are no marker of the dictionary are left out.
-    - An id that is found several times is left out, as the package's own detectors do, or reported at each
-      place: `Detections.repeated` marks it then, and the controller takes it as not seen.
-    - `centers_px` (N, 2): image of the marker's centre, or the mean of its corners, which is the same but for
-      perspective. `headings_rad` (N,). `sides_px` (N,), positive: side of the black square, the border
-      included and the white card not; of a square seen at a slant, the root of its area, or the side of the
-      nearest square.
-    - `corners_px` (N, 4, 2): corners of the black square, clockwise in the image, beginning with the two
-      ahead: front left, front right, back right, back left. They may lie outside the image.
-    - `covariances` (N, 3, 3): of (u, v, heading), in px², px·rad and rad². A detector that does not know them
+    - `unit_id` and `time_s` are the arguments. `image_size_px` is (width, height).
+    - `ids` (N,), int: indices into the dictionary, usually ascending and unique. All visible markers of the
+      dictionary are reported. The detector does not distinguish robots from obstacles, and the receiver
+      ignores unknown ids. Squares that are not markers of the dictionary are left out.
+    - An id that is detected several times is left out, as by the package's own detectors, or reported at each
+      place. `Detections.repeated` then marks it, and the controller treats it as not detected.
+    - `centers_px` (N, 2): image of the marker's centre, or the mean of its corners. They differ by
+      perspective only.
+    - `headings_rad` (N,).
+    - `sides_px` (N,), positive: side of the black square, with the border and without the white card. Under
+      tilt it is the square root of the area, or the side of the nearest square.
+    - `corners_px` (N, 4, 2): corners of the black square, clockwise in the image: front left, front right,
+      back right, back left. They may lie outside the image.
+    - `covariances` (N, 3, 3): of (u, v, heading), in px², px·rad and rad². A detector without covariances
       returns zeros, which mean *unknown*, not *exact*.
-    - No marker at all is a result with N = 0, not an error.
+    - `qualities` (N,): values of `skyherd.messages.Quality`; `CORNERS` if left out, as for a detector of
+      corners.
+    - Without markers, N = 0; this is not an error.
 
-    `skyherd.markers.dictionary.pose_of_corners` gives centres, headings and sides from corners, and
-    `skyherd.vision.detections_of_corners` makes the whole result of ids and corners.
+    `skyherd.markers.dictionary.pose_of_corners` computes centres, headings and sides from corners.
+    `skyherd.vision.detections_of_corners` builds the result from ids and corners.
 
-    **State.** A detector may learn from the images it is given (blur, noise, where markers went), but then
-    for each `unit_id` apart: images of several units come by turns. `time_s` increases from one image of a
-    unit to the next where times are known; it is 0 for all images where they are not, and then consecutive
-    calls are consecutive images. Results may depend on earlier images of the same unit only, and on nothing
-    random, so that the same calls on a new detector give the same results. Whoever wants no memory makes a
-    new detector. A detector is called from one thread at a time; each process makes its own.
+    **State.** A detector may estimate state from earlier images (blur, noise, tracks), separately for each
+    `unit_id`: images of several units may alternate. Results depend only on the present and earlier images of
+    the same unit, and on nothing random. The same calls on a new detector give the same results. To discard
+    the state, create a new detector. A detector is called from one thread at a time, and each process creates
+    its own.
 
-    **Errors.** InputError for an image of the wrong kind. Other exceptions are errors of the detector and are
-    passed on.
+    **Time.** If times are known, `time_s` increases from one image of a unit to the next. If not, it is
+    always 0, and consecutive calls are consecutive images.
+
+    **Errors.** InputError for an invalid image. Other exceptions are faults of the detector and are
+    propagated.
     """
 
     def detect(self, image: Image, *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
-        """Return the markers found in one image.
+        """Return the markers detected in one image.
 
         Args:
             image: grey, (height, width), uint8.
-            time_s: when the image was taken, s; 0 for all images whose times are not known.
-            unit_id: the aerial unit whose image it is.
+            time_s: time of the image, s; 0 for all images if times are unknown.
+            unit_id: aerial unit of the image.
 
         Raises:
-            InputError: the image is not a grey one of 8 bits, or is empty.
+            InputError: the image is not a grey image of uint8, or is empty.
         """
         ...
 
@@ -99,35 +101,35 @@ _DETECTORS: dict[str, Callable[[str], Detector]] = {
     "tracking": PhotometricDetector,
     **{name: partial(PeerDetector, name) for name in peer_names()},
 }
-"""Functions that make a detector for a dictionary, by the detector's name."""
+"""Factories of the built-in detectors, by name; each takes the name of a dictionary."""
 
 
 ENTRY_POINTS = "skyherd.detectors"
-"""Group of the entry points by which installed packages add detectors."""
+"""Entry point group by which installed packages register detectors."""
 
 _log = logging.getLogger(__name__)
 
 
 @cache
 def _plugins() -> dict[str, EntryPoint]:
-    """Return the detectors of installed packages, by name. Built-in names take precedence."""
+    """Return the entry points of detectors in installed packages, by name. Built-in names take precedence."""
     return {entry.name: entry for entry in entry_points(group=ENTRY_POINTS) if entry.name not in _DETECTORS}
 
 
 def detector_names() -> list[str]:
-    """Return the names that `create_detector` knows, in alphabetical order, beside `module:factory`."""
+    """Return the names that `create_detector` accepts besides `module:factory`, in alphabetical order."""
     return sorted({*_DETECTORS, *_plugins()})
 
 
 INSTEAD = {"aruco": "photometric, or opencv for that of OpenCV alone"}
-"""Names that no detector has, and what to use instead."""
+"""Replacements of names that users may expect and that no detector has."""
 
 
 def check_detector_name(name: str) -> None:
-    """Refuse a name that `create_detector` does not know, without importing a detector.
+    """Raise an error if `create_detector` does not know the name; import no detector.
 
     Raises:
-        InputError: there is no detector of that name.
+        InputError: no detector has that name.
     """
     if ":" not in name and name not in _DETECTORS and name not in _plugins():
         usual = f"{one_of(name, detector_names())}, or module:factory"
@@ -135,13 +137,13 @@ def check_detector_name(name: str) -> None:
 
 
 class InvertedDetector:
-    """A detector of markers that are white on black, made of one for black ones, which sees negatives."""
+    """Detector of markers that are white on black: runs another detector on the negative image."""
 
     def __init__(self, detector: Detector) -> None:
         self._detector = detector
 
     def detect(self, image: Image, *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
-        """Return the white markers in a grey image (height, width) of 8 bits; see `Detector.detect`."""
+        """Return the white markers in a grey image (height, width), uint8; see `Detector.detect`."""
         negative = cv2.bitwise_not(check_grey(image))
         return self._detector.detect(np.asarray(negative, dtype=np.uint8), time_s=time_s, unit_id=unit_id)
 
@@ -158,26 +160,26 @@ def create_detector(
 ) -> Detector:
     """Return a new detector, by name or as `module:factory`.
 
-    `module:factory` imports `module`, from the working directory too, and calls its attribute `factory` with
-    the dictionary's name; it has to return a `Detector`. A class whose constructor takes the dictionary is
-    such a factory.
+    `module:factory` imports `module`, also from the working directory, and calls its attribute `factory` with
+    the dictionary's name. The factory returns a `Detector`. It may be a class whose constructor takes the
+    dictionary.
 
     Args:
         name: one of `detector_names()`, or `module:factory`.
         dictionary: name of the marker dictionary, such as `APRILTAG_36h11`.
-        corrected: False leaves the constant biases and the corner order of the detectors of other libraries
-            (`skyherd.vision.detectors.peers`) as they come; it has no effect on other detectors.
+        corrected: False keeps the constant biases and the corner order of the detectors of other libraries
+            (`skyherd.vision.detectors.peers`). Other detectors ignore it.
         border_bits: width of the markers' black border in cells; calibration boards often have two.
         inverted: whether the markers are white on black.
-        repeats: whether ids that are found at several places are reported at each of them, as only
-            `photometric` can; `skyherd.messages.Detections.repeated` marks them. They are left out if not.
-        deferring: whether a detector that can leaves what can wait to `DeferringDetector.look_around`, as
-            `tracking` does; the others have no such method, and do everything at once.
+        repeats: whether to report an id at every place where it is detected (`photometric` only).
+            `skyherd.messages.Detections.repeated` marks such ids. If False, they are left out.
+        deferring: whether `tracking` defers searches to `DeferringDetector.look_around`. Other detectors have
+            no such method, and search at once.
 
     Raises:
-        InputError: there is no detector of that name, it cannot do this, the dictionary is not known or not
-            read by it, its library is not installed; or `module:factory` lacks a part, cannot be imported,
-            has no such attribute, is not callable, fails, or returns something without a method `detect`.
+        InputError: the detector or dictionary is unknown, the detector does not support the dictionary or an
+            option, or its library is not installed. For `module:factory`: the module or attribute is missing,
+            or the factory fails or returns an object without a method `detect`.
     """
     check_texts("create_detector", (name, dictionary))
     check_flags(
@@ -191,7 +193,7 @@ def create_detector(
 
 
 def _create_plain(name: str, dictionary: str, *, corrected: bool, repeats: bool) -> Detector:
-    """A detector of markers that are black on white."""
+    """Return a detector of markers that are black on white."""
     check_detector_name(name)
     if repeats:
         if name != "photometric":
@@ -209,7 +211,7 @@ def _create_plain(name: str, dictionary: str, *, corrected: bool, repeats: bool)
 
 
 def _import_detector(name: str, dictionary: str) -> Detector:
-    """The detector that the factory of `module:factory` returns; InputError says what fails."""
+    """Return the detector of `module:factory`; raise InputError if the import or the factory fails."""
     factory = import_factory(name, f"detector {name}", "a function that takes a dictionary's name")
     try:
         detector = factory(dictionary)
@@ -231,19 +233,17 @@ def _import_detector(name: str, dictionary: str) -> Detector:
 
 
 def explain_mirrored(image: Image, dictionary: str) -> str | None:
-    """Return what to do if a grey image (height, width) is mirrored, in words; None if it is not.
+    """Return a message to the user if a grey image (height, width) is mirrored, or None.
 
-    A mirrored marker is no marker of its dictionary, except for the few that are their own mirror image (8,
-    9, 17 and 47 of 4X4_50). A mirrored stream therefore decodes next to nothing although its markers are
-    plain to see, and decodes once it is flipped back: an image counts as mirrored if its mirror image shows
-    more.
+    A mirrored marker is not a marker of its dictionary, except for the few symmetric ones (8, 9, 17 and 47 of
+    4X4_50). An image therefore counts as mirrored if more markers are detected in its mirror image.
 
     Raises:
-        InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
+        InputError: the image is not a grey image of uint8, or the dictionary is unknown.
     """
     image, detector = check_grey(image), PhotometricDetector(dictionary, following=False, repeats=True)
     flipped = len(detector.detect(np.ascontiguousarray(image[:, ::-1])))
-    # Of most images the mirror image shows nothing, and what they show themselves does not matter.
+    # The mirror image of most images has no marker, and the second detection is then not needed.
     if not flipped or flipped <= (found := len(detector.detect(image))):
         return None
     decoded = "no marker decodes" if found == 0 else f"only {found} symmetric marker(s) decode"

@@ -1,4 +1,4 @@
-"""Loads what detectors load or compile when they are first used, before an image waits for it."""
+"""Loads and compiles the code of a detector before its first image."""
 
 import cv2
 import numpy as np
@@ -7,28 +7,27 @@ from skyherd.markers.dictionary import marker_cells
 from skyherd.vision.detectors.registry import create_detector
 
 CELL_PX, MARGIN_PX = 8, 24
-"""Side of a cell and width of the white around the marker, px. *Chosen*: read at the first look."""
+"""Cell side and width of the white margin, px. Chosen: the first search pass finds such a marker."""
 
 BLACK, WHITE, BLUR_PX = 30, 220, 0.8
-"""Levels of the marker, and its blur, px. *Chosen*: as usual cameras see one."""
+"""Grey levels of the marker, and its blur, px. Chosen: typical of a camera."""
 
 IMAGES = 2
-"""Images that a detector is shown. *Chosen*: markers are searched for in the first, and followed in the
-second."""
+"""Number of images. Chosen: the detector searches in the first image and follows in the second."""
 
 
 def warm_up(name: str, dictionary: str) -> None:
-    """Let a detector of this name find a marker of its dictionary, and forget it.
+    """Run a detector of this name on images of one marker, to load or compile its code.
 
-    The first markers that a process sees take the photometric detectors 0.4 s and more, until their compiled
-    code is loaded, and some seconds where it has to be compiled; the next ones a few milliseconds.
+    In a new process, the first image with markers takes a photometric detector at least 0.4 s with cached
+    compiled code, and several seconds without. Later images take a few milliseconds.
 
     Args:
-        name: as `create_detector` takes it.
-        dictionary: of the markers.
+        name: as in `create_detector`.
+        dictionary: name of the marker dictionary.
 
     Raises:
-        InputError: there is no such detector or dictionary.
+        InputError: the detector or the dictionary is unknown.
     """
     detector = create_detector(name, dictionary=dictionary)
     cells = np.kron(marker_cells(dictionary, 0), np.ones((CELL_PX, CELL_PX), dtype=bool))

@@ -106,7 +106,7 @@ def dark_patches(image: Image) -> list[Array]:
 
 
 def _dark(image: Image) -> list[Image]:
-    """What is dark against its wider surroundings, at each threshold."""
+    """Return masks of what is dark against its wider surroundings, one for each threshold."""
     window = max(MAX_WINDOW_PX, 2 * (min(image.shape) // 12) + 1)
     mean, below = cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV
     masks = [cv2.adaptiveThreshold(image, 255, mean, below, window, constant) for constant in THRESHOLDS]
@@ -130,7 +130,7 @@ def cut_squares(image: Image, dictionary: str) -> list[Array]:
 
 
 def _complete(contour: npt.NDArray[Any], size_px: tuple[int, int], n: int) -> list[Array]:
-    """Squares that have the corners of a contour (M, 1, 2) which lie inside the image."""
+    """Return squares that have the corners of a contour (M, 1, 2) which lie inside the image."""
     hull = cv2.convexHull(contour)
     outline = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)[:, 0, :].astype(float) - 1
     if not 3 <= len(outline) <= 7:
@@ -157,7 +157,7 @@ def _complete(contour: npt.NDArray[Any], size_px: tuple[int, int], n: int) -> li
 
 
 def _square(first: Array, second: Array, towards: Array) -> Array:
-    """The square (4, 2) with the edge given, on the side to which `towards` points."""
+    """Return the square (4, 2) with the edge given, on the side to which `towards` points."""
     edge = second - first
     across = np.array([-edge[1], edge[0]])
     across = across if across @ towards > 0 else -across
@@ -189,7 +189,7 @@ def bright_groups(image: Image, dictionary: str) -> list[Array]:
 
 
 def _with_dark_border(image: Image, squares: list[Array], n: int, border: int) -> list[Array]:
-    """Those squares of n x n cells whose border is dark and whose inside is not, at the cells' middles."""
+    """Return the squares of n x n cells with a dark border and a lighter inside, at the cells' middles."""
     if not squares:
         return []
     corners = np.stack(squares)

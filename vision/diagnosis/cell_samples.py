@@ -29,7 +29,7 @@ def cell_extents_px(image_cells: Array, n: int) -> Array:
 
 
 def sample_cells(image: Image, image_cells: Array, n: int) -> Array:
-    """Levels (S, S), S = (n + 2) PER_CELL, of cells and quiet zone; not a number off the image."""
+    """Return levels (S, S), S = (n + 2) PER_CELL, of cells and quiet zone; not a number off the image."""
     size = (n + 2) * PER_CELL
     fine = PER_CELL * FINE
     first = 0.5 / fine - 1

@@ -1,10 +1,10 @@
 """Why markers were not detected: where the default detector loses each candidate, and by which limit.
 
-This follows the detector's own stages. What both of its looks see (`PhotometricDetector.looks`) is taken as
-it is: a candidate that was fitted is told by the first test that its fit fails, an outline that was not
-decoded by the cells that are wrong. What the search does not find at all is looked for in other, slower ways
-(`candidates`), read by correlation with all markers (`quad_reading`), and fitted all the same, to say which
-test it would fail.
+The stages are those of the detector, and the results of its searches are taken as they are
+(`PhotometricDetector.searches`). A candidate that was fitted is explained by the first test that its fit
+fails, and by its log odds. An outline that was not decoded is explained by its wrong cells. Other markers are
+searched for in slower ways (`candidates`), read by correlation with all markers (`quad_reading`), and fitted
+to find the test that they would fail.
 """
 
 from collections import Counter
@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.markers.dictionary import card_side, code_distance
+from skyherd.markers.dictionary import card_side, cells_per_side, code_distance
 from skyherd.messages import Detections
 from skyherd.vision.detectors.registry import create_detector
 from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches, dark_quads
@@ -35,8 +35,10 @@ from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.image_noise import image_noise
+from skyherd.vision.photometric.likelihood import MarkerOdds, marker_odds, min_log_odds
 from skyherd.vision.photometric.verify import Quantity, verification_tests
 from skyherd.vision.search.decode import decode_quads
+from skyherd.vision.search.edges import fit_edges
 
 GROWTHS_PX = (0.5, 1.0)
 """By how much a contour is moved outwards and read again, px. Derived: thresholds lose up to a pixel of an
@@ -53,6 +55,9 @@ fitted, a likeness. Chosen: more than likenesses of markers in one place differ 
 VISIBLE_EXPONENT = 0.25
 """Exponent of the share in the image in a candidate's rank. Chosen: a square half outside loses a sixth."""
 
+RIVALS = ("another marker", "bits by chance", "a light rectangle", "another grid")
+"""What a candidate may be instead of a marker, in the order of `MarkerOdds.against`."""
+
 GUESS, SURE, MIN_VISIBLE = 0.75, 0.93, 0.4
 """Likeness at first and second look, and share in the image, that make a guessed square a marker. Chosen
 high, since many squares are guessed and chance is like some marker too."""
@@ -67,21 +72,25 @@ class Rejection:
         measured: the quantity that fails, with its limit; None if the reason is no quantity.
         reading: what its cells read.
         words: the reason with its numbers, and what to do about it.
+        log_odds: natural logarithm of the odds that it is a marker, at its edges; -inf if that is hopeless.
+        rival: what else it is most likely to be.
     """
 
     reason: Reason
     measured: Measured | None
     reading: Reading
     words: str
+    log_odds: float
+    rival: str
 
     @property
     def corners_px(self) -> Array:
-        """Corners (4, 2), px, in order around the candidate; they may lie outside the image."""
+        """Return corners (4, 2), px, in order around the candidate; they may lie outside the image."""
         return self.reading.corners_px
 
     @property
     def center_px(self) -> Array:
-        """Mean (2,) of the corners, px."""
+        """Return mean (2,) of the corners, px."""
         return np.asarray(self.corners_px.mean(axis=0))
 
 
@@ -109,7 +118,8 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
     there = Counter(detections.ids.tolist())
     there.update(s.reading.nearest_id for s in suspects if s.good or _is_exact(s.reading))
     rejections = []
-    for suspect in suspects:
+    odds = _odds(image, [suspect.reading.corners_px for suspect in suspects], dictionary)
+    for suspect, log_odds, against in zip(suspects, odds.log_odds.tolist(), odds.against, strict=True):
         reading = suspect.reading
         if not suspect.seen:
             suspect = replace(suspect, failed=_failed_all_the_same(image, detector, reading))
@@ -117,18 +127,29 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
         reason, measured = find_reason(suspect, again=again)
         if reason is Reason.NO_BITS and not is_dark(reading):
             continue
+        rival = RIVALS[int(np.argmin(np.nan_to_num(against, nan=np.inf)))]
         words = describe(reason, measured, reading, dictionary)
-        rejections.append(Rejection(reason, measured, reading, words))
+        if np.isfinite(log_odds):
+            least = min_log_odds(dictionary)
+            words += f"; log odds of a marker {log_odds:.1f} against {rival}, at least {least:.1f}"
+        rejections.append(Rejection(reason, measured, reading, words, log_odds, rival))
     return sorted(rejections, key=lambda rejection: rejection.reason is Reason.NO_BITS)
 
 
-def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detections) -> list[Suspect]:
-    """All that may be markers, apart from the detections.
+def _odds(image: Image, corners_px: list[Array], dictionary: str) -> MarkerOdds:
+    """Return the evidence that candidates are markers, at the poses by their edges."""
+    corners = np.array(corners_px).reshape(-1, 4, 2)
+    edges = fit_edges(image, corners, cells_per_side(dictionary))
+    return marker_odds(image, edges.corners_px, dictionary)
 
-    What reaches the image's border and reads with a fault is left out, since the border may be its outline.
+
+def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detections) -> list[Suspect]:
+    """Return all that may be markers, apart from the detections.
+
+    Candidates that reach the image's border and read with a fault are left out: it may be their outline.
     """
     dictionary = detector.dictionary
-    first, second = detector.looks(image)
+    first, second = detector.searches(image)
     reach_px = REACH * card_side(dictionary) * detections.sides_px
 
     def is_known(corners_px: Array) -> bool:
@@ -154,10 +175,10 @@ def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detec
 
 
 def _read_unseen(image: Image, dictionary: str, is_known: Callable[[Array], bool]) -> list[Reading]:
-    """Readings of what the search may not have found.
+    """Return readings of what the search may not have found.
 
-    Squares that were guessed rather than seen count only if they read without a fault, and so do those that
-    touch the border, whose outline may be the border itself.
+    Guessed squares count only if they read without a fault. So do squares that touch the border, whose
+    outline may be the border itself.
     """
     size_px = np.array([image.shape[1], image.shape[0]])
     outlines = [*dark_quads(image, dictionary), *dark_patches(image)]
@@ -175,19 +196,19 @@ def _read_unseen(image: Image, dictionary: str, is_known: Callable[[Array], bool
 def _failed_all_the_same(
     image: Image, detector: PhotometricDetector, reading: Reading
 ) -> tuple[Quantity, Measured] | None:
-    """The test that a fit from a reading's corners fails; None if it fails none or is plainly no marker."""
+    """Return the test that a fit from a reading's corners fails, or None."""
     if not _is_exact(reading):
         return None
     sigma_px = reading.blur_cells * float(reading.cell_px.mean())
     candidates = decode_quads(image, reading.corners_px[None], detector.dictionary, sigma_px)
-    fits = detector.look_at(image, candidates).fits
+    fits = detector.measure(image, candidates).fits
     if not fits.ids.size:
         return None
     return failed_test(verification_tests(fits, image_noise(image), code_distance(detector.dictionary)), 0)
 
 
 def _read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
-    """The most marker-like reading of a contour moved outwards: thresholds lose up to a pixel of an edge."""
+    """Return the most marker-like reading of a contour moved outwards; thresholds lose up to a pixel."""
     center = corners_px.mean(axis=0)
     reach = float(np.linalg.norm(corners_px - center, axis=1).mean()) / np.sqrt(2)
     readings = [read_quad(image, corners_px, dictionary)]
@@ -199,23 +220,23 @@ def _read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
 
 
 def _is_exact(reading: Reading) -> bool:
-    """Whether it is plainly a marker, with no wrong bit, and no mirror image of one."""
+    """Return whether it is plainly a marker, with no wrong bit, and no mirror image of one."""
     return reading.wrong_bits == 0 and reading.likeness >= CERTAIN and not reading.mirrored
 
 
 def _rank(suspect: Suspect) -> tuple[float, bool]:
-    """How marker-like a suspect is, and whether it was fitted: of those in one place the highest stays."""
+    """Return the rank of a suspect: its likeness, and whether it was fitted. The highest of a place stays."""
     reached = (suspect.fitted and suspect.reading.wrong_bits == 0) + 2 * suspect.good
     return _likeness(suspect.reading) + BONUS * reached, suspect.fitted
 
 
 def _likeness(reading: Reading) -> float:
-    """How marker-like a reading is."""
+    """Return how marker-like a reading is."""
     return float(reading.likeness * reading.visible**VISIBLE_EXPONENT + BONUS * _reads_well(reading))
 
 
 def _reads_well(reading: Reading) -> bool:
-    """Whether it reads without a fault, mirrored or not, or has a clear frame."""
+    """Return whether it reads without a fault, mirrored or not, or has a clear frame."""
     exact = reading.likeness >= CERTAIN and reading.wrong_bits == 0
     return exact or (is_clear(reading) and is_dark(reading))
 
@@ -233,7 +254,7 @@ def _grown(corners_px: Array, factor: float) -> Array:
 
 
 def _is_known(corners_px: Array, centers_px: Array, reach_px: Array) -> bool:
-    """Whether a quadrilateral is, lies on, or surrounds one of the detections at centres (N, 2)."""
+    """Return whether a quadrilateral is, lies on, or surrounds one of the detections at centres (N, 2)."""
     center = corners_px.mean(axis=0)
     distances = np.linalg.norm(centers_px - center, axis=1)
     if (distances < reach_px).any():
@@ -243,7 +264,7 @@ def _is_known(corners_px: Array, centers_px: Array, reach_px: Array) -> bool:
 
 
 def _is_part(reading: Reading, better: list[Suspect]) -> bool:
-    """Whether it shares its place with a better candidate."""
+    """Return whether it shares its place with a better candidate."""
     center = reading.corners_px.mean(axis=0)
     return any(
         _contains(other.reading.corners_px, center)

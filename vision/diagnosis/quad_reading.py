@@ -84,7 +84,7 @@ class Reading:
 
     @property
     def wrong_bits(self) -> int:
-        """Number of cells that differ from the nearest marker's, the border included."""
+        """Return number of cells that differ from the nearest marker's, the border included."""
         return len(self.wrong_cells)
 
     @property
@@ -94,7 +94,7 @@ class Reading:
 
     @property
     def tilt_deg(self) -> float:
-        """Angle between the line of sight and the marker's normal, degrees, for a camera that is far away."""
+        """Return the angle of the line of sight to the marker's normal, degrees, for a distant camera."""
         return float(np.degrees(np.arccos(min(self.cell_px[0] / self.cell_px[1], 1.0))))
 
     @property
@@ -158,7 +158,7 @@ class _Sight:
 
     @property
     def levels(self) -> Array:
-        """Levels (n + 2, n + 2) of the middles of cells and quiet zone."""
+        """Return levels (n + 2, n + 2) of the middles of cells and quiet zone."""
         return self.samples[PER_CELL // 2 :: PER_CELL, PER_CELL // 2 :: PER_CELL]
 
 
@@ -183,7 +183,7 @@ def _look(image: Image, corners_px: Array, dictionary: str) -> _Sight:
 
 
 def _read(sight: _Sight, match: "Match") -> Reading:
-    """All that is measured of a quadrilateral that is most like a template."""
+    """Return all that is measured of a quadrilateral that is most like a template."""
     levels, templates = sight.levels, sight.templates
     ring = levels[1:-1, 1:-1]
     is_border = np.ones(ring.shape, dtype=bool)
@@ -211,7 +211,7 @@ def _read(sight: _Sight, match: "Match") -> Reading:
 
 
 def _middle(border: Array, inner: Array) -> float:
-    """Level between black and white: half-way from the border to the brighter cells inside."""
+    """Return level between black and white: half-way from the border to the brighter cells inside."""
     bright = inner[np.isfinite(inner)]
     return (
         (_median(border) + float(np.percentile(bright, WHITE_PERCENTILE))) / 2
@@ -247,7 +247,7 @@ class Match:
 
 
 def _first_match(sight: _Sight) -> Match:
-    """The template that is most like the cells' middles under the first blur."""
+    """Return the template that is most like the cells' middles under the first blur."""
     cells, row = sight.levels[1:-1, 1:-1], int(sight.best[-1])
     seen = np.isfinite(cells)
     if seen.sum() < MIN_CELLS:
@@ -256,7 +256,7 @@ def _first_match(sight: _Sight) -> Match:
 
 
 def _nearest(sight: _Sight) -> Match:
-    """The finalist that is most like what lies in the image, by all samples and blurs."""
+    """Return the finalist that is most like what lies in the image, by all samples and blurs."""
     samples, best = sight.samples[PER_CELL:-PER_CELL, PER_CELL:-PER_CELL], sight.best
     seen = np.isfinite(samples)
     patterns = _under_all_blurs(sight.templates.white[best])[:, seen]
@@ -267,12 +267,12 @@ def _nearest(sight: _Sight) -> Match:
 
 
 def _under_all_blurs(white: BoolArray) -> npt.NDArray[np.float32]:
-    """Levels (B M, S, S) of markers (M, n, n) under each of the B blurs that are tried, blur by blur."""
+    """Return levels (B M, S, S) of markers (M, n, n) under each of B blurs, blur by blur."""
     return np.concatenate([blurred_levels(white, blur, PER_CELL) for blur in BLURS_CELLS])
 
 
 def _fit(likeness: float, row: int, blur: float, pattern: npt.NDArray[np.float32], values: Array) -> Match:
-    """Black and white by least squares: values = black + (white - black) pattern."""
+    """Return black and white by least squares: values = black + (white - black) pattern."""
     gain = likeness * float(values.std()) / max(float(pattern.std()), MIN_DEVIATION)
     black = float(values.mean()) - gain * float(pattern.mean())
     return Match(likeness=likeness, row=row, blur_cells=blur, black=black, white=black + gain)

@@ -54,7 +54,7 @@ MIN_CONTRAST = 8.0
 
 BIT_SHARE = 0.3
 """Share of the step from the border to the surroundings that the contrast of bits must exceed. Chosen: a
-white cell is as bright as the card but for blur."""
+white cell is as bright as the card apart from blur."""
 
 DARK_LEVELS = 25.0
 """A dark quadrilateral without bits is reported if its surroundings are brighter by this, grey levels.
@@ -140,7 +140,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Suspect:
-    """What may be a marker, and how far the detector came with it.
+    """A possible marker, and the stage that the detector reached with it.
 
     Attributes:
         reading: of it, by correlation with all markers.
@@ -240,7 +240,7 @@ def _is_cell(failed: tuple[Quantity, Measured] | None) -> bool:
 
 
 def _has_bits(reading: Reading) -> bool:
-    """Whether it is plainly a marker, or a large, sharp and clear frame with something in it."""
+    """Return whether it is plainly a marker, or a large, sharp and clear frame with something in it."""
     if reading.contrast <= max(MIN_CONTRAST, BIT_SHARE * reading.depth):
         return False
     return reading.likeness >= (MARKER_LIKE if is_clear(reading) else CERTAIN)

@@ -28,7 +28,7 @@ corners elsewhere."""
 
 
 class MarkerPrint(NamedTuple):
-    """How markers are drawn.
+    """Print of markers: their colours and border.
 
     Attributes:
         border_bits: width of their black border, in cells.
@@ -94,7 +94,7 @@ def find_dictionary(image: Image, *, border_bits: int = 1, inverted: bool = Fals
 
 
 def _prints(looked_for: MarkerPrint) -> list[MarkerPrint]:
-    """All prints: first the one that was looked for, then others of its colour, then those of the other."""
+    """Return all prints: the one that was searched for, others of its colour, then those of the other."""
     prints = [
         MarkerPrint(border_bits, inverted)
         for inverted in (looked_for.inverted, not looked_for.inverted)
@@ -104,7 +104,7 @@ def _prints(looked_for: MarkerPrint) -> list[MarkerPrint]:
 
 
 def _in_words(looked_for: MarkerPrint, there: MarkerPrint, dictionary: str | None = None) -> str:
-    """What an image's markers are in place of what was looked for, and the options for it."""
+    """Another kind of markers that an image shows, with the options for it."""
     facts, options = [], []
     if there.inverted != looked_for.inverted:
         facts.append("white on black" if there.inverted else "black on white")
@@ -124,12 +124,12 @@ def _ids(image: Image, dictionary: str, kind: MarkerPrint, detector: str) -> Int
 
 
 def _dark_on_light(image: Image, kind: MarkerPrint) -> Image:
-    """The image in which markers of that print are black on white: its negative, if they are inverted."""
+    """Return the image in which markers of a print are black on white: the negative if they are inverted."""
     return np.asarray(cv2.bitwise_not(image), dtype=np.uint8) if kind.inverted else image
 
 
 def _best_dictionary(image: Image, detector: str, kind: MarkerPrint, at_least: int) -> str | None:
-    """The dictionary of which a detector finds most markers in a print, if it finds `at_least` so many."""
+    """Return the dictionary of which a detector finds most markers in a print, or None below `at_least`."""
     best = None
     for name in _largest_of_series():
         ids = _ids(image, name, kind, detector)
@@ -158,5 +158,5 @@ def _largest_of_series() -> tuple[str, ...]:
 
 
 def _smallest_with(name: str, marker_id: int) -> str:
-    """The smallest dictionary of the series of `name` that has a marker of that id."""
+    """Return the smallest dictionary of the series of `name` that has a marker of that id."""
     return next(other for other in _series(name) if dictionary_size(other) > marker_id)

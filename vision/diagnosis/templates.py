@@ -53,7 +53,7 @@ class Templates:
 
 
 def blurred_levels(white: BoolArray, blur_cells: float, per_cell: int) -> npt.NDArray[np.float32]:
-    """Levels (M, S, S), S = n per_cell, of markers (M, n, n) on a white ground under a blur."""
+    """Return levels (M, S, S), S = n per_cell, of markers (M, n, n) on a white ground under a blur."""
     return (1.0 - blurred_darkness(white, blur_cells, per_cell)).astype(np.float32)
 
 

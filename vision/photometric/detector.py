@@ -1,73 +1,95 @@
-"""The photometric detector: markers measured as precisely as the noise allows, and followed between images.
+"""The photometric detector: markers measured at the Cramér-Rao bound, and followed between images.
 
-Each image passes through these stages.
+Each image passes through these stages. Stages return values; the detector alone writes a camera's state.
 
-1. *Follow* (`following`): markers of the unit's last image are fitted where they should be by now
-   (`skyherd.vision.photometric.tracks`), and once more where the camera's motion has taken them if that is
-   elsewhere (`skyherd.vision.photometric.common_motion`).
-2. *Search*: the whole image is searched for dark quadrilaterals (`skyherd.vision.search`), in every fifth
-   image, and at once when a followed marker is missing or none is known. Their cells are compared with all
-   markers of the dictionary; what is much paler than the unit's other markers is refused, but nothing for a
-   doubtful bit yet. Where no marker is found there is a second look (`skyherd.vision.search.second_look`),
-   which also has what OpenCV's detector finds; less often while markers are followed and it finds nothing.
-3. *Fit*: the known pattern of each marker is fitted to the image's own pixels (`fitting.fit`), under whatever
-   blur it has (`unknown_blur`), a streak of motion too (`streaks`); large markers in a shrunk image.
-4. *Verify*: a fit counts only if it shows its marker's bits and leaves little else (`acceptance`, `verify`).
-   A marker that something seems to cover is fitted once more to its visible pixels (`fitting.occlusion`), and
-   one that does not lie on the others' plane with a perspective of its own.
-5. *Learn*: if markers are followed, the unit's blur, noise and plane are where the next image's fits begin.
+1. *Follow* (`following`): markers of the last image are fitted where they are predicted.
+2. *Search* (`skyherd.vision.search`, `candidates`): the image is searched for dark quadrilaterals whose cells
+   resemble a marker, in every fifth image, and at once when a followed marker is missing or none is known.
+   A fallback search looks again, at twice the size and with OpenCV's detector, where none was found.
+3. *Measure* (`measure`): the pattern of each candidate is fitted to the image's own pixels (`fitting.fit`,
+   `refine`) and verified by its residuals (`verify`). What no fit explains is decided by its likelihood
+   (`likelihood`) and measured by a robust fit or its edges.
+4. *Learn* (`state`): the camera's blur, noise, print, plane and tracks are where the next image begins.
 """
 
+from dataclasses import replace
 from functools import reduce
 
 import numpy as np
 
 from skyherd.errors import InputError
 from skyherd.geometry import SQUARE_CORNERS, Array, to_points
-from skyherd.messages import Detections
+from skyherd.markers.dictionary import code_distance
+from skyherd.messages import Detections, Quality
 from skyherd.vision.grey import Image, check_grey
+from skyherd.vision.photometric.candidates import (
+    SearchPass,
+    find_candidates,
+    outside_markers,
+    unambiguous,
+)
 from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.following import follow
-from skyherd.vision.photometric.image_estimates import ImageEstimates
-from skyherd.vision.photometric.look import Look, look_at_candidates, look_at_quads, look_twice
-from skyherd.vision.photometric.places import unambiguous
+from skyherd.vision.photometric.image_noise import image_noise
+from skyherd.vision.photometric.measure import measure_candidates
+from skyherd.vision.photometric.refine import with_usual_blur
+from skyherd.vision.photometric.state import CameraState
+from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads
+from skyherd.vision.search.faint import find_faint_quads
+from skyherd.vision.search.fallback_search import find_opencv_quads, find_overlooked_quads, find_small_quads
 from skyherd.vision.search.quads import find_quads
 
 SEARCH_INTERVAL = 5
-"""While all markers are followed, the whole image is searched in every image of this number. Chosen: a new
-marker waits this long at most. Measured on `star`: a search takes 4 ms and following 4.4, so that searches
-add a fifth; in every image they would double the time."""
+"""While all markers are followed, every image of this number is searched whole. Chosen: a new marker waits
+this long at most. Measured on `star`: a search takes 4 ms and following 4.4, so that searches add a fifth;
+in every image they would double the time."""
 
-SECOND_LOOK_INTERVAL, SECOND_LOOK_AFTER_SUCCESS = 10, 2
-"""While all markers are followed there is a second look at every search of the first number if the last one
-found nothing new, and of the second number if it did. Chosen: it takes 45 ms of a core where the first look
-takes 4, and finds what is small or blurred, of which there is more where there was some; a marker that it
-alone can find waits 50 images at most. So does a small one close beside markers that are followed, around
-which the other searches do not look."""
+FALLBACK_INTERVAL, FALLBACK_AFTER_SUCCESS = 10, 2
+"""While all markers are followed, every search of the first number has a fallback if the last fallback found
+nothing, and of the second number if it did. Chosen: it takes 45 ms of a core where the search takes 4, and
+finds small or blurred markers. One that it alone can find waits 50 images at most. So does a small one
+beside markers that are followed, around which the other searches do not look."""
+
+MIN_FOLLOWED_SHARE = 0.6
+"""Smallest share of the followed markers whose places are believed. Chosen: below it the image is taken for
+that of another place or camera, and is searched as if nothing were known but blur and noise."""
 
 FAINT_SHARE = 0.025
 """While all markers are followed, searches look only where dark pixels crowd by this share of the contrast of
-the unit's markers. Chosen: a third of what markers of 9 px have, so that one in shade is still found; ground
-with texture has 0.01 of the contrast of usual prints, and otherwise all of it is looked at."""
+the camera's markers. Chosen: a third of what markers of 9 px have, so that one in shade is still found;
+ground with texture has 0.01 of the contrast of usual prints, and otherwise all of it is searched."""
+
+CLEAR_CORRELATION = 0.8
+"""Smallest correlation of a quadrilateral's cells with a marker's in a fallback search. Measured: markers
+that it alone finds have 0.83 to 0.99; at 0.6 photographs of clutter take twice the time, for fits of squares
+of a few pixels."""
+
+LOOK_AROUND_INTERVAL = 10
+"""A `DeferringDetector` searches one of this number of images whole, by parts. Chosen: the machine of a live
+unit has other things to do while it waits for the next image."""
+
+PARTS = 3
+"""Parts of that search: the quadrilaterals of the search, those at twice the size, and those that OpenCV
+finds. *Measured*: of 800 x 800 px they take 8, 18 and 11 ms in the median, with fits."""
 
 
 class PhotometricDetector:
     """Finds, fits, verifies and follows markers; implements `skyherd.vision.Detector`.
 
-    Positions come with covariances that hold for the image at hand: residuals, not tables, give the noise.
+    Positions have covariances that hold for the image at hand: residuals, not tables, give the noise.
 
     Args:
         dictionary: of the markers, such as `4X4_50`.
-        following: whether markers are followed from one image of a unit to the next. If not, every image is
-            taken by itself, and the result does not depend on earlier ones.
+        following: whether markers are followed from one image of a unit to the next. If not, the result does
+            not depend on earlier images.
         repeats: whether an id that is found at several places is reported at each of them. If not, it is left
-            out. Markers that are followed are followed by their ids, so that this is for images taken by
-            themselves.
+            out. Markers are followed by their ids, so that following excludes this.
 
     Attributes:
-        estimates: what was estimated of each unit's images, by unit id.
+        states: state of each camera, by unit id.
 
     Raises:
         InputError: there is no such dictionary, or repeats are to be followed.
@@ -77,8 +99,8 @@ class PhotometricDetector:
         if following and repeats:
             raise InputError("detector", "markers cannot be followed whose ids repeat", "one of the two")
         self.dictionary, self.following, self.repeats = dictionary, following, repeats
-        self.estimates: dict[int, ImageEstimates] = {}
-        self._nothing = no_fit_results(dictionary)
+        self.states: dict[int, CameraState] = {}
+        self._none = no_fit_results(dictionary)
 
     def detect(self, image: Image, *, time_s: float = 0.0, unit_id: int = 0) -> Detections:
         """Return the markers in a grey image (height, width) of 8 bits, in ascending order of id.
@@ -86,78 +108,173 @@ class PhotometricDetector:
         Args:
             image: grey, (height, width), uint8.
             time_s: when it was taken; times that do not increase count as 1 s apart.
-            unit_id: whose image it is; what is learned is kept for each unit apart.
+            unit_id: the unit whose image it is; each unit has its own state.
 
         Raises:
             InputError: the image is not a grey one of 8 bits, or is empty.
         """
         image = check_grey(image)
-        if unit_id not in self.estimates or not self.following:
-            self.estimates[unit_id] = ImageEstimates()
-        known = self.estimates[unit_id]
-        found, lost = follow(image, self.dictionary, known, time_s)
-        known.unsearched += 1
-        is_amiss = lost or not len(found.ids)
-        if is_amiss or self._is_due(known):
-            found = found.joined(self._search(image, known, found.homographies, thoroughly=is_amiss))
+        state = self.states.get(unit_id, CameraState()) if self.following else CameraState()
+        followed = follow(image, self.dictionary, state, time_s)
+        found = followed.found
+        if followed.is_missing and len(found.ids) < MIN_FOLLOWED_SHARE * np.count_nonzero(
+            state.tracks.missed == 0
+        ):
+            followed, found = replace(followed, plane=Plane()), self._none
+        state = replace(state, plane=followed.plane, unsearched=state.unsearched + 1)
+        is_amiss = followed.is_missing or not len(found.ids)
+        if is_amiss or self._is_due(state):
+            state, searched = self._search(image, state, found.homographies, thoroughly=is_amiss)
+            found = found.joined(searched)
             found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else unambiguous(found)
-            known.unsearched = 0
-        known.learn(found, time_s)
-        return _detections(found, known.ratios.factors(), image, time_s, unit_id)
+        state = state.learned(found, state.plane, time_s)
+        self.states[unit_id] = state
+        return _detections(found, state.ratios.factors(), image, time_s, unit_id)
 
-    def _is_due(self, known: ImageEstimates) -> bool:
-        """Whether the whole image is to be searched though all markers that are known were found."""
-        return known.unsearched >= SEARCH_INTERVAL
+    def searches(self, image: Image) -> tuple[SearchPass, SearchPass]:
+        """Return both searches of a whole image without memory: the first one, and the fallback.
 
-    def looks(self, image: Image) -> tuple[Look, Look]:
-        """Return what both looks at a whole image see, by which an image without memory is searched.
-
-        Nothing is learned. What `detect` reports of such an image is what both looks found, but for ids that
-        repeat.
+        Nothing is learned. `detect` reports what both found in such an image, apart from repeated ids.
 
         Raises:
             InputError: the image is not a grey one of 8 bits, or is empty.
         """
-        return look_twice(check_grey(image), self.dictionary, ImageEstimates(), self._nothing.homographies)
+        return self._search_with_fallback(check_grey(image), CameraState(), self._none.homographies)
 
-    def look_at(self, image: Image, candidates: DecodedQuads) -> Look:
-        """Return what is fitted where candidates are, each by itself, that the search need not have found.
+    def measure(self, image: Image, candidates: DecodedQuads) -> SearchPass:
+        """Return candidates measured, each by itself, that the search need not have found.
 
         Raises:
             InputError: the image is not a grey one of 8 bits, or is empty.
         """
-        image, known = check_grey(image), ImageEstimates()
-        looks = [
-            look_at_candidates(
-                image, self.dictionary, known, candidates.corners_px, candidates.take(np.array([row]))
-            )
+        image, state = check_grey(image), CameraState()
+        passes = [
+            measure_candidates(image, self.dictionary, state, candidates.corners_px[[row]], one)
             for row in range(candidates.ids.size)
+            for one in [candidates.take(np.array([row]))]
         ]
-        return reduce(Look.joined, looks, Look.of_nothing(self.dictionary))
+        return reduce(SearchPass.joined, passes, SearchPass.empty(self.dictionary, state.plane))
+
+    def _is_due(self, state: CameraState) -> bool:
+        """Return whether the whole image is searched though all known markers were found."""
+        return state.unsearched >= SEARCH_INTERVAL
 
     def _search(
-        self, image: Image, known: ImageEstimates, followed: LocalHomographies, *, thoroughly: bool
-    ) -> FitResults:
-        """Verified markers anywhere in the image but where markers are followed already.
+        self, image: Image, state: CameraState, followed: LocalHomographies, *, thoroughly: bool
+    ) -> tuple[CameraState, FitResults]:
+        """Return the state, and the markers anywhere in the image but where markers are followed.
 
-        If it is not to be done thoroughly, the second look may be left out.
+        Unless it is to be done thoroughly, the fallback may be left out.
         """
-        known.first_looks += 1
-        interval = SECOND_LOOK_AFTER_SUCCESS if known.is_second_look_worth_it else SECOND_LOOK_INTERVAL
-        if not thoroughly and known.first_looks < interval:
-            min_darkness = FAINT_SHARE * (known.contrast or 0.0)
+        state = replace(state, searches=state.searches + 1, unsearched=0)
+        interval = FALLBACK_AFTER_SUCCESS if state.is_fallback_useful else FALLBACK_INTERVAL
+        if not thoroughly and state.searches < interval:
+            min_darkness = FAINT_SHARE * (state.contrast or 0.0)
             quads = find_quads(image, to_points(followed.images(SQUARE_CORNERS)), min_darkness)
-            return look_at_quads(image, self.dictionary, known, quads, followed, MIN_CORRELATION).found
-        first, second = look_twice(image, self.dictionary, known, followed)
-        known.first_looks, known.is_second_look_worth_it = 0, bool(second.good.any())
-        return first.found.joined(second.found)
+            one = self._measured(image, state, quads, followed, MIN_CORRELATION)
+            return replace(state, plane=one.plane), one.found
+        first, second = self._search_with_fallback(image, state, followed)
+        state = replace(state, plane=second.plane, searches=0, is_fallback_useful=bool(second.good.any()))
+        return state, first.found.joined(second.found)
+
+    def _search_with_fallback(
+        self, image: Image, state: CameraState, followed: LocalHomographies
+    ) -> tuple[SearchPass, SearchPass]:
+        """Return the search of a whole image, and the fallback search where the first finds nothing.
+
+        Verified markers of the fallback must be printed like those of the first search, and do not change
+        the plane that these lie on.
+        """
+        first = self._measured(image, state, find_quads(image), followed, MIN_CORRELATION)
+        found = first.found
+        known = followed.joined(found.homographies)
+        known_px = to_points(known.images(SQUARE_CORNERS))
+        quads = find_overlooked_quads(image, known_px, self.dictionary)
+        quads = np.concatenate([quads, find_faint_quads(image, known_px)])
+        second = self._measured(image, replace(state, plane=first.plane), quads, known, CLEAR_CORRELATION)
+        if not (first.good.any() and second.good.any()):
+            return first, second
+        alike = verified(found.joined(second.found), image_noise(image), code_distance(self.dictionary))
+        good = second.good.copy()
+        good[good] = alike[found.ids.size :] | (second.found.qualities < Quality.PHOTOMETRIC)
+        return first, replace(second, good=good, plane=first.plane)
+
+    def _measured(
+        self,
+        image: Image,
+        state: CameraState,
+        quads_px: Array,
+        known: LocalHomographies,
+        min_correlation: float,
+    ) -> SearchPass:
+        """Return quadrilaterals outside of known markers, decoded and measured."""
+        candidates = find_candidates(image, self.dictionary, state, quads_px, known, min_correlation)
+        quads_px = quads_px[outside_markers(quads_px, known)]
+        return measure_candidates(image, self.dictionary, state, quads_px, candidates)
+
+
+class DeferringDetector(PhotometricDetector):
+    """Follows markers as `PhotometricDetector` does, and leaves most searches to `look_around`.
+
+    Followed markers are found in a few milliseconds, while the search of a whole image for new ones takes ten
+    times as long. Here it is done after the image's detections were used, by parts, one after each image. A
+    new marker is reported from the next image on. `detect` searches the whole image at once only when no
+    marker is known or a followed one is missing. Without calls of `look_around`, new markers are found only
+    when another one is lost.
+
+    Args:
+        dictionary: of the markers, such as `4X4_50`.
+    """
+
+    def __init__(self, dictionary: str = "4X4_50") -> None:
+        super().__init__(dictionary, following=True)
+
+    def look_around(self, image: Image, *, unit_id: int = 0) -> None:
+        """Search the image that was last given to `detect` for markers that are not followed, if it is time.
+
+        Of ten images the last `PARTS` are searched, by one part each. New markers are followed from now on.
+        An id that is followed elsewhere already is followed no more, since it is at two places.
+
+        Args:
+            image: grey, (height, width), uint8.
+            unit_id: the unit whose image it is.
+
+        Raises:
+            InputError: the image is not a grey one of 8 bits, or is empty.
+        """
+        image, state = check_grey(image), self.states.get(unit_id)
+        part = -1 if state is None else state.unsearched - (LOOK_AROUND_INTERVAL - PARTS + 1)
+        if state is None or part < 0:
+            return
+        known = state.tracks.homographies
+        known_px = to_points(known.images(SQUARE_CORNERS))
+        correlation = CLEAR_CORRELATION if part else MIN_CORRELATION
+        searched = self._measured(image, state, self._quads(part, image, known_px), known, correlation)
+        found, state = searched.found, replace(state, plane=searched.plane)
+        if found.ids.size:
+            tracks = state.tracks.with_others(found.ids, found.homographies, with_usual_blur(found))
+            state = replace(state, tracks=tracks)
+        self.states[unit_id] = replace(state, unsearched=0) if part >= PARTS - 1 else state
+
+    def _is_due(self, state: CameraState) -> bool:
+        """Return False: `look_around` searches instead."""
+        return False
+
+    def _quads(self, part: int, image: Image, known_px: Array) -> Array:
+        """Return the corners (N, 4, 2), px, of the quadrilaterals that a part of the search finds."""
+        if part == 0:
+            return find_quads(image)
+        if part == 1:
+            return find_small_quads(image, known_px)
+        return find_opencv_quads(image, known_px, self.dictionary)
 
 
 def _detections(
     found: FitResults, variance_factors: Array, image: Image, time_s: float, unit_id: int
 ) -> Detections:
-    """Detections of what was found, with variances of positions and headings times two factors (2,)."""
-    scales = np.sqrt(variance_factors[[0, 0, 1]])
+    """Return the detections of markers; photometric variances are scaled by two factors (2,)."""
+    scales = np.where((found.qualities == Quality.PHOTOMETRIC)[:, None], np.sqrt(variance_factors), 1.0)
+    scales = scales[:, [0, 0, 1]]
     return Detections(
         unit_id=unit_id,
         time_s=time_s,
@@ -167,5 +284,6 @@ def _detections(
         headings_rad=found.homographies.headings_rad(),
         sides_px=found.homographies.sides_px(),
         corners_px=to_points(found.homographies.images(SQUARE_CORNERS)),
-        covariances=scales[:, None] * found.covariances * scales,
+        covariances=scales[:, :, None] * found.covariances * scales[:, None, :],
+        qualities=found.qualities,
     )

@@ -1,118 +1,150 @@
-"""Markers followed from one image of a unit to the next: fitted where they should be by now.
+"""Markers followed from one image of a camera to the next: fitted where they are predicted.
 
-That is, in this order: where their own last steps lead (`skyherd.vision.photometric.tracks`); where the
-others' common motion takes them (`skyherd.vision.photometric.common_motion`); and near these places.
+A followed marker is fitted where its own last steps lead, then where the common motion of the others takes
+it, and at last searched for near these places (`skyherd.vision.photometric.tracks`).
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import SQUARE_CORNERS, Array, IntArray, to_points
 from skyherd.markers.dictionary import code_distance
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric.acceptance import accepted
-from skyherd.vision.photometric.common_motion import (
-    MIN_SHIFT_SIDES,
-    REACH_SIDES,
-    carried,
-    common_motion,
-    find_quads_near,
-    innermost,
-    shifts_sides,
-)
+from skyherd.vision.photometric.candidates import find_candidates, outside_markers, unambiguous
 from skyherd.vision.photometric.fitting.fit import MAX_STEPS_FROM_PREDICTION, USUAL_NOISE
 from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.photometric.image_estimates import ImageEstimates
+from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.image_noise import image_noise
-from skyherd.vision.photometric.look import look_at_quads
-from skyherd.vision.photometric.places import unambiguous
-from skyherd.vision.photometric.streaks import with_streak
-from skyherd.vision.photometric.tracks import in_view, is_whole
-from skyherd.vision.photometric.unknown_blur import fit_any_blur, is_promising
+from skyherd.vision.photometric.measure import measure_candidates, verify_and_refit
+from skyherd.vision.photometric.refine import fit_any_blur, is_promising
+from skyherd.vision.photometric.state import CameraState
+from skyherd.vision.photometric.tracks import (
+    MIN_SHIFT_SIDES,
+    REACH_SIDES,
+    apply_similarity,
+    common_motion,
+    find_quads_near,
+    in_view,
+    innermost,
+    is_whole,
+    shifts_sides,
+)
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.decode import MIN_CORRELATION
 
 
-def follow(image: Image, dictionary: str, known: ImageEstimates, time_s: float) -> tuple[FitResults, bool]:
-    """Return the markers that are followed, in ascending order of id, and whether one is missing.
+@dataclass(frozen=True)
+class Followed:
+    """What following found in an image.
 
-    Markers that were about to leave the view are not missing, unless they were expected so far from where
-    they were that the expectation may be wrong.
+    Attributes:
+        found: the markers, in ascending order of id.
+        is_missing: whether a marker that the last image showed is missing. Markers that were about to leave
+            the view are not missing, unless the prediction lies so far away that it may be wrong.
+        plane: common plane of the markers.
+    """
+
+    found: FitResults
+    is_missing: bool
+    plane: Plane
+
+
+def follow(image: Image, dictionary: str, state: CameraState, time_s: float) -> Followed:
+    """Return the followed markers that an image shows.
 
     Args:
         image: grey, (height, width).
         dictionary: of the markers.
-        known: what is known of the unit's images; its plane becomes that of this image.
+        state: of the camera.
         time_s: when the image was taken.
     """
-    start = known.tracks.predicted(time_s)
+    tracks = state.tracks
+    start = tracks.predicted(time_s)
     here, whole = in_view(start, image.shape), is_whole(start, image.shape)
-    should_be_seen = whole | (shifts_sides(known.tracks.homographies, start) > REACH_SIDES)
+    should_be_seen = whole | (shifts_sides(tracks.homographies, start) > REACH_SIDES)
+    should_be_seen &= tracks.missed == 0
     if not here.any():
-        return no_fit_results(dictionary), bool(should_be_seen.any())
-    ids, start = known.tracks.ids[here], start.take(here)
-    fits, start = _fit_tracks(image, dictionary, known, ids, start, known.tracks.sigmas_px[here])
+        return Followed(no_fit_results(dictionary), bool(should_be_seen.any()), state.plane)
+    ids, start, missed = tracks.ids[here], start.take(here), tracks.missed[here]
+    fits, start, plane = _fit_tracks(image, dictionary, state, ids, start, tracks.sigmas_px[here])
     lost = ~is_promising(fits)
-    near = _find_near(image, dictionary, known, start.take(lost), fits.homographies.take(~lost))
+    near = _find_near(image, dictionary, state, start.take(lost), fits.homographies.take(~lost), missed[lost])
     near = near.take(np.isin(near.ids, ids))  # others are for the search, which compares their prints
     rest = ~np.isin(ids, near.ids)
     fits, start = fits.take(rest), start.take(rest)
     if fits.ids.size:
-        fits, good = accepted(image, dictionary, fits, known.plane, start)
-        fits, good, known.plane = with_streak(image, dictionary, fits, good, known.plane)
-        fits = fits.take(good)
+        fits, good, plane = verify_and_refit(
+            image, dictionary, fits, plane, start, _start_corners(fits, start)
+        )
+        fits = fits.take(good & np.isin(fits.ids, ids))
     found = unambiguous(fits.joined(near))
-    return found, bool((should_be_seen & ~np.isin(known.tracks.ids, found.ids)).any())
+    return Followed(found, bool((should_be_seen & ~np.isin(tracks.ids, found.ids)).any()), plane)
+
+
+def _start_corners(fits: FitResults, start: LocalHomographies) -> Array:
+    """Return corners (N, 4, 2), px, by the fits where these stayed near, otherwise as predicted."""
+    fitted, predicted = fits.homographies.images(SQUARE_CORNERS), start.images(SQUARE_CORNERS)
+    away = np.abs(fitted - predicted).max(axis=1)
+    near = np.isfinite(away) & (away < start.sides_px() / 2)
+    return to_points(np.where(near[:, None], fitted, predicted))
 
 
 def _fit_tracks(
     image: Image,
     dictionary: str,
-    known: ImageEstimates,
+    state: CameraState,
     ids: IntArray,
     start: LocalHomographies,
     sigmas_px: Array,
-) -> tuple[FitResults, LocalHomographies]:
-    """Fits of followed markers, and their places: as predicted, or where a common motion took them."""
-    plane, noise = known.plane, known.noise or USUAL_NOISE
-    about = noise, MAX_STEPS_FROM_PREDICTION
-    fits, known.plane = fit_any_blur(image, dictionary, ids, start, sigmas_px, plane, *about)
+) -> tuple[FitResults, LocalHomographies, Plane]:
+    """Return fits of followed markers, their places as predicted or by the common motion, and the plane."""
+    about = state.plane, state.noise or USUAL_NOISE, MAX_STEPS_FROM_PREDICTION
+    fits, plane = fit_any_blur(image, dictionary, ids, start, sigmas_px, *about)
     lost = np.flatnonzero(~is_promising(fits))
     if not lost.size:
-        return fits, start
-    moved = _moved(image, dictionary, known, start, fits)
+        return fits, start, plane
+    moved = _moved(image, dictionary, replace(state, plane=plane), start, fits)
     again = shifts_sides(start.take(lost), moved.take(lost)) > MIN_SHIFT_SIDES
     if not again.any():
-        return fits, start
-    # All are fitted again, since few may have told the plane.
+        return fits, start, plane
+    # All are fitted again, since few may have determined the plane.
     there = fits.homographies.put(lost, moved.take(lost))
-    fits, known.plane = fit_any_blur(image, dictionary, ids, there, sigmas_px, plane, *about)
+    fits, plane = fit_any_blur(image, dictionary, ids, there, sigmas_px, *about)
     right = np.flatnonzero(is_promising(fits))
-    return fits, start.put(right, there.take(right))
+    return fits, start.put(right, there.take(right)), plane
 
 
 def _moved(
-    image: Image, dictionary: str, known: ImageEstimates, start: LocalHomographies, fits: FitResults
+    image: Image, dictionary: str, state: CameraState, start: LocalHomographies, fits: FitResults
 ) -> LocalHomographies:
-    """Where followed markers are by the motion of those that were found, or of some that are searched."""
+    """Return the places of followed markers by the motion of those found, or of some that are searched."""
     seen = fits.take(verified(fits, image_noise(image), code_distance(dictionary)))
     if not seen.ids.size:
         nowhere = no_fit_results(dictionary).homographies
-        seen = _find_near(image, dictionary, known, innermost(start, image), nowhere)
+        few = innermost(start, image)
+        seen = _find_near(image, dictionary, state, few, nowhere, np.zeros(len(few), dtype=np.int64))
         seen = unambiguous(seen.take(np.isin(seen.ids, fits.ids)))
     if not seen.ids.size:
         return start
     rows = np.searchsorted(fits.ids, seen.ids)
-    return carried(start, common_motion(start.take(rows), seen.homographies))
+    return apply_similarity(start, common_motion(start.take(rows), seen.homographies))
 
 
 def _find_near(
-    image: Image, dictionary: str, known: ImageEstimates, places: LocalHomographies, there: LocalHomographies
+    image: Image,
+    dictionary: str,
+    state: CameraState,
+    places: LocalHomographies,
+    known: LocalHomographies,
+    missed: IntArray,
 ) -> FitResults:
-    """Verified markers near places, but for where markers are known to be there."""
+    """Return accepted markers near places, outside of known ones; the reach grows with images missed (N,)."""
     if not len(places):
         return no_fit_results(dictionary)
-    quads = find_quads_near(image, places)
-    return look_at_quads(image, dictionary, replace(known), quads, there, MIN_CORRELATION).found
+    quads = find_quads_near(image, places, missed)
+    candidates = find_candidates(image, dictionary, state, quads, known, MIN_CORRELATION)
+    return measure_candidates(
+        image, dictionary, state, quads[outside_markers(quads, known)], candidates
+    ).found

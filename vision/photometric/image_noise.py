@@ -36,7 +36,7 @@ def image_noise(image: Image) -> float:
 
 
 def _median_of_levels(values: npt.NDArray[np.int16]) -> float:
-    """The median of whole numbers from 0 to some hundreds, by counting them, which is faster than sorting."""
+    """Return the median of whole numbers from 0 to some hundreds, by counting them."""
     ends = np.bincount(values).cumsum()
     low, high = (values.size - 1) // 2, values.size // 2
     return float(np.searchsorted(ends, [low, high], side="right").mean())

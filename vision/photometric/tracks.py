@@ -3,14 +3,45 @@
 Two kinds of motion are told apart. A robot on an arc, or a camera that turns or zooms, moves a marker's
 centre by steps that turn and grow as the marker's arm does; a camera that flies past moves it by equal steps.
 Each marker's next step is taken to be of the kind that its last step was nearer to.
+
+When the camera's velocity changes, all markers lie elsewhere, the more so the farther from the image's centre
+they are. But they moved alike: a camera's motion over flat ground takes every point p of the image to about
+`a p + b`. A few markers determine that similarity, and the others are then fitted where it takes them.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, ComplexArray, IntArray
+from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.search.quads import find_quads
+
+MAX_SHARE = 0.5
+"""Share of an image up to which it is searched by parts. Chosen: parts overlap, and each costs something."""
+
+NEAR_MARKERS = 4
+"""Markers about whose places an image is searched when none is where it was predicted. Chosen: one tells the
+motion, and some may be hidden or go ways of their own; each takes about a millisecond."""
+
+REACH_SIDES = 3.0
+"""How far from its predicted place a marker is searched for, in its sides. Chosen: a camera that starts to
+climb at 1 m/s over 10 m moves markers in the corner of an image by half a side within 0.2 s, and those near
+its middle less; the time grows with the square."""
+
+MIN_MARKERS = 3
+"""Markers that tell a rotation at least. Chosen: two robots side by side that drive apart look like one."""
+
+MAX_MISSED = 10
+"""Images for which a marker that is not found is predicted on and searched for. Chosen: the image is searched
+whole twice meanwhile, so that nothing waits longer for a search than it would without."""
+
+MIN_SHIFT_SIDES = 0.02
+"""Markers are fitted again only if the motion moves them by more than this, in their sides. Chosen: fits find
+a marker that lies a tenth of a side off, so that one that was missed for less is missed for another
+reason."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +56,7 @@ class Tracks:
         arm_log_rates: (N,) rates of the arms' logarithms, 1/s: real part growth, imaginary part rotation.
         on_arc: (N,) whether the centres' steps turn and grow with the arms.
         sigmas_px: (N,) standard deviations of the blur, lens and pixel together, px.
+        missed: (N,) images in a row in which the marker was not found; it is predicted on meanwhile.
     """
 
     time_s: float
@@ -34,6 +66,7 @@ class Tracks:
     arm_log_rates: ComplexArray
     on_arc: BoolArray
     sigmas_px: Array
+    missed: IntArray
 
     def elapsed_s(self, time_s: float) -> float:
         """Return the time since the last image, s; 1 if the images' times do not increase."""
@@ -59,7 +92,8 @@ class Tracks:
     ) -> "Tracks":
         """Return the tracks after an image at `time_s` that shows markers `ids` (N,) at `homographies`.
 
-        Markers that were followed before get a velocity; markers that are not among `ids` are dropped.
+        Markers that were followed before get a velocity. Markers that are not among `ids` are predicted on
+        for `MAX_MISSED` images. Ids ascend.
         """
         elapsed = self.elapsed_s(time_s)
         velocities, rates = np.zeros((2, ids.size), dtype=complex)
@@ -70,7 +104,57 @@ class Tracks:
         straight = self.velocities[before]
         turned = straight * np.exp(self.arm_log_rates[before] * elapsed)
         on_arc[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - straight)
-        return Tracks(time_s, ids, homographies, velocities, rates, on_arc, sigmas_px)
+        seen = Tracks(
+            time_s,
+            ids,
+            homographies,
+            velocities,
+            rates,
+            on_arc,
+            sigmas_px,
+            np.zeros(ids.size, dtype=np.int64),
+        )
+        missing = np.flatnonzero(~np.isin(self.ids, ids) & (self.missed < MAX_MISSED))
+        if not missing.size:
+            return seen
+        coasting = Tracks(
+            time_s,
+            self.ids[missing],
+            self.predicted(time_s).take(missing),
+            self.velocities[missing],
+            self.arm_log_rates[missing],
+            self.on_arc[missing],
+            self.sigmas_px[missing],
+            self.missed[missing] + 1,
+        )
+        return seen._joined(coasting)
+
+    def _joined(self, others: "Tracks") -> "Tracks":
+        """Return the tracks together with others of the same image, in ascending order of id."""
+        order = np.argsort(np.concatenate([self.ids, others.ids]))
+        return Tracks(
+            time_s=self.time_s,
+            ids=np.concatenate([self.ids, others.ids])[order],
+            homographies=self.homographies.joined(others.homographies).take(order),
+            velocities=np.concatenate([self.velocities, others.velocities])[order],
+            arm_log_rates=np.concatenate([self.arm_log_rates, others.arm_log_rates])[order],
+            on_arc=np.concatenate([self.on_arc, others.on_arc])[order],
+            sigmas_px=np.concatenate([self.sigmas_px, others.sigmas_px])[order],
+            missed=np.concatenate([self.missed, others.missed])[order],
+        )
+
+    def _taken(self, rows: IntArray) -> "Tracks":
+        """Return the tracks of some rows."""
+        return Tracks(
+            self.time_s,
+            self.ids[rows],
+            self.homographies.take(rows),
+            self.velocities[rows],
+            self.arm_log_rates[rows],
+            self.on_arc[rows],
+            self.sigmas_px[rows],
+            self.missed[rows],
+        )
 
     def with_others(self, ids: IntArray, homographies: LocalHomographies, sigmas_px: Array) -> "Tracks":
         """Return the tracks if the last image shows markers `ids` (N,) at `homographies`, too.
@@ -78,18 +162,20 @@ class Tracks:
         They are taken to stand still. What is at two places then is not followed any more. Ids ascend.
         """
         kept = np.flatnonzero(~np.isin(self.ids, ids))
-        once = np.flatnonzero(((ids[:, None] == ids).sum(axis=1) == 1) & ~np.isin(ids, self.ids))
-        order = np.argsort(np.concatenate([self.ids[kept], ids[once]]))
+        followed = self.ids[self.missed == 0]
+        once = np.flatnonzero(((ids[:, None] == ids).sum(axis=1) == 1) & ~np.isin(ids, followed))
         rest = np.zeros(once.size, dtype=complex)
-        return Tracks(
-            time_s=self.time_s,
-            ids=np.concatenate([self.ids[kept], ids[once]])[order],
-            homographies=self.homographies.take(kept).joined(homographies.take(once)).take(order),
-            velocities=np.concatenate([self.velocities[kept], rest])[order],
-            arm_log_rates=np.concatenate([self.arm_log_rates[kept], rest])[order],
-            on_arc=np.concatenate([self.on_arc[kept], np.ones(once.size, dtype=bool)])[order],
-            sigmas_px=np.concatenate([self.sigmas_px[kept], sigmas_px[once]])[order],
+        others = Tracks(
+            self.time_s,
+            ids[once],
+            homographies.take(once),
+            rest,
+            rest,
+            np.ones(once.size, dtype=bool),
+            sigmas_px[once],
+            np.zeros(once.size, dtype=np.int64),
         )
+        return self._taken(kept)._joined(others)
 
 
 def no_tracks() -> Tracks:
@@ -103,6 +189,7 @@ def no_tracks() -> Tracks:
         arm_log_rates=empty,
         on_arc=np.zeros(0, dtype=bool),
         sigmas_px=np.zeros(0),
+        missed=np.zeros(0, dtype=np.int64),
     )
 
 
@@ -121,3 +208,67 @@ def is_whole(homographies: LocalHomographies, image_shape: tuple[int, ...]) -> B
         np.abs(corners.imag - (height - 1) / 2) < height / 2
     )
     return np.asarray(inside.all(axis=1))
+
+
+def common_motion(before: LocalHomographies, after: LocalHomographies) -> tuple[complex, complex]:
+    """Return the similarity (a, b), `p -> a p + b`, that takes markers (N,), at least one, to where they are.
+
+    By least squares over their centres, which says nothing of how each robot turned by itself. Fewer than
+    `MIN_MARKERS` tell no rotation, and the scale by their sides.
+    """
+    middle, target = before.centers.mean(), after.centers.mean()
+    here, there = before.centers - middle, after.centers - target
+    if here.size < MIN_MARKERS:
+        a = complex(np.median(after.sides_px() / before.sides_px()))
+    else:
+        a = complex(np.vdot(here, there) / np.vdot(here, here).real)
+    return a, complex(target - a * middle)
+
+
+def apply_similarity(markers: LocalHomographies, motion: tuple[complex, complex]) -> LocalHomographies:
+    """Return where a similarity (a, b) of the image takes markers.
+
+    Relative squeezes `k / m̄` and horizons stay: the camera's tilt makes them, in the image's axes.
+    """
+    a, b = motion
+    return replace(
+        markers,
+        centers=a * markers.centers + b,
+        arms=a * markers.arms,
+        squeezes=np.conj(a) * markers.squeezes,
+    )
+
+
+def shifts_sides(before: LocalHomographies, after: LocalHomographies) -> Array:
+    """Return by how much (N,) markers' corners moved at most, in their sides."""
+    moved_px = np.abs(after.images(SQUARE_CORNERS) - before.images(SQUARE_CORNERS)).max(axis=1)
+    return np.asarray(moved_px / before.sides_px())
+
+
+def find_quads_near(image: Image, markers: LocalHomographies, missed: IntArray) -> Array:
+    """Return the corners (Q, 4, 2), px, of quadrilaterals near the places of N markers, in any order.
+
+    The reach grows with the number of images (N,) in which a marker was missed. If the places are most of the
+    image, they are those of the whole image.
+    """
+    boxes = []
+    reaches_px = REACH_SIDES * (1 + missed) * markers.sides_px()
+    for center, reach_px in zip(markers.centers.tolist(), reaches_px.tolist(), strict=True):
+        columns, lines = (
+            slice(max(0, math.floor(at - reach_px)), max(0, math.ceil(at + reach_px) + 1))
+            for at in (center.real, center.imag)
+        )
+        boxes.append((image[lines, columns], (columns.start, lines.start)))
+    if sum(box.size for box, _ in boxes) > MAX_SHARE * image.size:
+        return find_quads(image)
+    return np.concatenate([np.zeros((0, 4, 2)), *(find_quads(box) + corner for box, corner in boxes)])
+
+
+def innermost(markers: LocalHomographies, image: Image) -> LocalHomographies:
+    """Return the `NEAR_MARKERS` of N markers that are nearest to the image's middle.
+
+    They move least when the camera climbs, turns or zooms.
+    """
+    height, width = image.shape
+    order = np.argsort(np.abs(markers.centers - complex(width - 1, height - 1) / 2))
+    return markers.take(order[:NEAR_MARKERS])

@@ -13,13 +13,14 @@ sun and shade. What has less of it than the camera's markers is no print, but gr
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 
 import numpy as np
+from scipy.special import ndtr
 
 from skyherd.geometry import Array, BoolArray
 from skyherd.vision.photometric.fitting.fit import has_outlier_pixels
 from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
-from skyherd.vision.photometric.wrong_cells import WrongCellResiduals
 
 WRONG_CELL_SHARE, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
 """A cell is wrong if its mean residual exceeds the first share of what a wrong colour would leave plus so
@@ -110,6 +111,56 @@ MAX_COVERED_SHARE = 0.25
 larger share costs time for fits that are mostly refused, since hidden bits count as wrong."""
 
 
+SAMPLES_PER_CELL, SPAN_CELLS = 8, 5
+"""Sample points of a cell in the integrals of E, and number of cells that they cover: two cells on either
+side, which is enough up to a blur of `MAX_BLUR_CELLS`."""
+
+MIN_DIVISOR_CONTRAST = 1e-3
+"""Smallest contrast, grey levels, that residuals are compared with; a fit with less is refused anyway."""
+
+
+@dataclass(frozen=True)
+class WrongCellResiduals:
+    """What one cell of the wrong colour would leave of N fits, grey levels.
+
+    Attributes:
+        means: (N,) mean residual over that cell.
+        pixels: (N,) root mean square of the residuals of all pixels.
+        cells_px: (N,) side of a cell, px.
+    """
+
+    means: Array
+    pixels: Array
+    cells_px: Array
+
+    @classmethod
+    def of(cls, fits: FitResults) -> "WrongCellResiduals":
+        """Return the residuals for fits of N markers, at the blur that each fit found."""
+        cells_px = fits.homographies.sides_px() / fits.cell_means.shape[1]
+        log_sigmas = np.log(fits.blurs_cells) + np.minimum(np.maximum(fits.log_blurs, -1.0), 1.0)
+        own, square = (np.interp(log_sigmas, _LOG_SIGMAS, table) for table in _integral_tables())
+        contrast = np.maximum(fits.contrasts, MIN_DIVISOR_CONTRAST)
+        return cls(
+            means=contrast * own**2,
+            pixels=contrast * square * cells_px / np.sqrt(np.maximum(fits.pixels, 1.0)),
+            cells_px=cells_px,
+        )
+
+
+_LOG_SIGMAS: Array = np.linspace(np.log(0.01), np.log(10.0), 400)
+"""Logarithms of the tabulated blurs, standard deviations in cells; linear interpolation is good to 1e-4."""
+
+
+@lru_cache(maxsize=1)
+def _integral_tables() -> tuple[Array, Array]:
+    """`∫ E` over the wrong cell itself and `∫ E²` over all, each (400,), at the tabulated blurs."""
+    x = (np.arange(SPAN_CELLS * SAMPLES_PER_CELL) + 0.5) / SAMPLES_PER_CELL - SPAN_CELLS / 2
+    sigma = np.exp(_LOG_SIGMAS)[:, None]
+    seen = ndtr((x + 0.5) / sigma) - ndtr((x - 0.5) / sigma)
+    own = seen[:, np.abs(x) < 1 / 2].mean(axis=1)
+    return own, (seen**2).sum(axis=1) / SAMPLES_PER_CELL
+
+
 class Quantity(Enum):
     """What the tests of a fit compare with a limit; the values are the words that users read."""
 
@@ -149,7 +200,7 @@ class FitTest:
 
 
 def _all_passed(tests: Iterable[FitTest]) -> BoolArray:
-    """Which fits (N,) pass all of at least one test."""
+    """Return which fits (N,) pass all of at least one test."""
     return np.asarray(np.logical_and.reduce([test.passed() for test in tests]))
 
 
@@ -162,7 +213,7 @@ def bits_are_right(fits: FitResults, distance: int) -> BoolArray:
 
 
 def _bit_tests(fits: FitResults, wrong: WrongCellResiduals, distance: int) -> list[FitTest]:
-    """Tests of what fits look like, of their last step, px, and of their cells, as shares of a wrong one."""
+    """Return tests of plausibility, of the last step, px, and of the cells, as shares of a wrong one."""
     cell_noises = fits.noise_stds / (wrong.means * wrong.cells_px)
     worst = np.abs(fits.cell_means).max(axis=(1, 2)) / wrong.means
     allowed = np.minimum(WRONG_CELL_SHARE + WRONG_CELL_SIGMAS * cell_noises, WRONG_CELL_LIMIT)
@@ -191,7 +242,7 @@ def may_be_occluded(fits: FitResults, noise: float) -> BoolArray:
 
 
 def _plausibility_tests(fits: FitResults) -> list[FitTest]:
-    """Tests whether fits have contrast, sharpness, a shape and pixels such as markers have.
+    """Return tests whether fits have contrast, sharpness, a shape and pixels such as markers have.
 
     Contrast and white are grey levels, the blur is in cells, the others are shares of area, arm and side.
     """
@@ -241,7 +292,7 @@ def residual_is_noise(fits: FitResults, noise: float) -> BoolArray:
 def _residual_tests(
     fits: FitResults, wrong: WrongCellResiduals, noise: float, distance: int
 ) -> list[FitTest]:
-    """Tests whether fits leave little more than the noise, pixel by pixel and cell by cell, grey levels."""
+    """Return tests of the residuals of pixels and of cells against the noise, grey levels."""
     over_cells = np.sqrt(np.square(fits.cell_means).mean(axis=(1, 2)))
     sharp = STRONG_BLUR_CELLS if distance >= STRONG_DISTANCE else SHARP_BLUR_CELLS
     share = MODEL_SHARE * np.minimum(1.0, sharp / fits.blurs_cells)

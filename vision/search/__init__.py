@@ -1,7 +1,10 @@
-"""From an image to quadrilaterals that resemble markers: dark regions, their outlines, decoded ids.
+"""Marker candidates of an image: adaptive threshold, quadrilaterals, decoding.
 
-`regions` finds dark regions where dark pixels crowd, `quads` finds quadrilaterals among their boundaries,
-`second_look` finds those that this loses, and `decode` compares their cells with every marker of a
-dictionary. Nothing is refused here for a doubtful bit; that is decided by the fit
-(`skyherd.vision.photometric`), which uses all pixels.
+- `regions` thresholds the parts of the image with a high density of dark pixels.
+- `quads` fits quadrilaterals to the boundaries of the dark regions.
+- `fallback_search` finds small and faint quadrilaterals that `quads` misses.
+- `decode` correlates the cells of quadrilaterals with every marker of a dictionary.
+- `edges` refines corners by the image gradient.
+
+No candidate is rejected for a wrong bit. `skyherd.vision.photometric` decides with all pixels.
 """

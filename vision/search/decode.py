@@ -1,9 +1,8 @@
-"""Which marker a quadrilateral shows, by how well its cells agree with every marker in every quarter turn.
+"""Decoding of quadrilaterals: correlation of their cells with every marker in all four rotations.
 
-A cell is read as a grey level, not as a bit, and compared with what blur leaves of each marker's cells: the
-readings of a small, blurred or noisy marker still resemble their own pattern more than any other, so that a
-marker of two pixels a cell is still told from the others. Nothing is refused for a wrong bit here; that is
-left to the fit, which uses all pixels.
+Cells are sampled as grey levels, not as bits, and correlated with the blurred cells of each marker. Small,
+blurred or noisy markers, down to two pixels a cell, thus still correlate best with their own pattern. No
+candidate is rejected for a wrong bit: the fit decides with all pixels.
 """
 
 from dataclasses import dataclass
@@ -19,41 +18,42 @@ from skyherd.vision.blurred_cells import blurred_darkness, standardised
 from skyherd.vision.row_record import RowRecord
 
 SAMPLES_PER_CELL = 2
-"""Samples of a cell along each of its sides. Chosen: one is noisier, three cost twice the time."""
+"""Samples of a cell along each axis. Chosen: one is noisier, three take twice the time."""
 
 MIN_CORRELATION = 0.6
-"""Smallest correlation of a quadrilateral's cells with a marker's. Chosen: low, since a false candidate costs
-a fit and a missed one is lost."""
+"""Smallest correlation of a quadrilateral's cells with a marker. Chosen: low, because a false candidate only
+costs a fit."""
 
 BLURRED_CELLS, BLURRED_CORRELATION = 0.55, 0.9
-"""Cells are also compared with what blur of the first number of cells leaves of markers, and resemble them if
-their correlation is the second number at least, since blur makes patterns alike. Measured on markers of 12 px
-at noise 5 under blur of 1.45 px, which is 0.72 cells: of the quadrilaterals around them 43 % resemble the
-right marker at an assumed blur of 0.6 px, and 96 % at 1.2 px. With the limit at 0.8 a hundredth more of these
-are found, and a fifth more dark squares with light ones inside pass for marker 17 of 4X4_50."""
+"""Blur of a second set of patterns, in cells, and the smallest correlation with them. The limit is higher
+because blur makes patterns similar.
+
+Measured on markers of 12 px at noise 5 and a blur of 1.45 px (0.72 cells): 43 % of the quadrilaterals decode
+correctly at an assumed blur of 0.6 px, and 96 % at 1.2 px. A limit of 0.8 instead of 0.9 detects 1 % more of
+them. It also accepts 20 % more dark squares with light squares inside as marker 17 of 4X4_50."""
 
 BLUR_STEP = 1.2
-"""Cells are compared with markers at blurs, relative to a cell, in this geometric progression. Chosen: the
-correlation depends little on the blur; a smaller step means more tables in memory."""
+"""Ratio of consecutive pattern blurs, which form a geometric progression. Chosen: the correlation depends
+little on the blur, and a smaller ratio needs more memory."""
 
-MIN_CELL_DEVIATION = 3.0
-"""Smallest standard deviation of a quadrilateral's cells, grey levels. Chosen: less is flat ground or
-noise."""
+MIN_CELL_DEVIATION = 1.5
+"""Smallest standard deviation of a quadrilateral's cells, grey levels. Chosen: uniform ground and noise have
+less."""
 
 MIN_WHITE = 1.0
-"""Smallest white level, grey levels, that contrasts are divided by. Chosen: nothing is printed on black."""
+"""Smallest white level in the divisor of contrasts, grey levels. Chosen: markers are printed on white."""
 
 
 @dataclass(frozen=True)
 class DecodedQuads(RowRecord):
-    """Quadrilaterals that resemble markers.
+    """Decoded quadrilaterals.
 
     Attributes:
-        ids: (N,) the marker that each resembles most.
-        corners_px: (N, 4, 2) corners in that marker's own order.
+        ids: (N,) the marker with the greatest correlation.
+        corners_px: (N, 4, 2) corners in the order of that marker.
         correlations: (N,) of the quadrilateral's cells with those of the marker, -1 to 1.
-        print_contrasts: (N,) `(white - black) / white` of the marker's levels that the cells agree with best,
-            under the blur that was assumed.
+        print_contrasts: (N,) `(white - black) / white` of the marker's levels, by linear regression of the
+            cells on the pattern under the assumed blur.
     """
 
     ids: IntArray
@@ -63,22 +63,22 @@ class DecodedQuads(RowRecord):
 
 
 def no_decoded_quads() -> DecodedQuads:
-    """Return a record of no quadrilateral."""
+    """Return a record with N = 0."""
     return DecodedQuads(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0), np.zeros(0))
 
 
 def decode_quads(
     image: npt.NDArray[np.uint8], quads_px: Array, dictionary: str, sigma_px: float
 ) -> DecodedQuads:
-    """Return the quadrilaterals that resemble a marker, each with the marker that it resembles most.
+    """Return the quadrilaterals that correlate with a marker, each with its best marker.
 
-    Several quadrilaterals may resemble the same marker; the result has as many rows for it.
+    Several quadrilaterals may decode as the same marker. The result has a row for each of them.
 
     Args:
         image: grey, (height, width).
-        quads_px: (N, 4, 2) corners, clockwise as seen, beginning with any of them.
-        dictionary: of the markers.
-        sigma_px: standard deviation of the blur of lens and pixel together.
+        quads_px: (N, 4, 2) corners, clockwise in the image, beginning with any corner.
+        dictionary: name of the marker dictionary.
+        sigma_px: standard deviation of the combined blur of lens and pixel.
     """
     if not len(quads_px):
         return no_decoded_quads()
@@ -99,12 +99,12 @@ def decode_quads(
 
 @dataclass(frozen=True)
 class _Likeness(RowRecord):
-    """The codes that N quadrilaterals resemble most under an assumed blur.
+    """Best codes of N quadrilaterals under an assumed blur.
 
     Attributes:
         codes: (N,) rows of `BlurredCodes`.
-        likeness: (N,) correlations with these.
-        print_contrasts: (N,) of the levels with which they agree best.
+        likeness: (N,) correlations with these codes.
+        print_contrasts: (N,) as in `DecodedQuads`.
     """
 
     codes: IntArray
@@ -113,7 +113,7 @@ class _Likeness(RowRecord):
 
 
 def _most_alike(cells: npt.NDArray[np.float32], dictionary: str, blurs_cells: Array) -> _Likeness:
-    """The codes that cells (N, n²) resemble most under blurs (N,), standard deviations in cells."""
+    """Return the best codes of cells (N, n²) under blurs (N,), standard deviations in cells."""
     mean, deviation = cells.mean(axis=1), cells.std(axis=1)
     best, likeness = np.empty(len(cells), dtype=np.int64), np.empty(len(cells))
     contrast, white = np.empty(len(cells)), np.empty(len(cells))
@@ -130,10 +130,10 @@ def _most_alike(cells: npt.NDArray[np.float32], dictionary: str, blurs_cells: Ar
 
 @dataclass(frozen=True)
 class BlurredCodes:
-    """What the cells of all markers look like under a blur; row 4 i + k is marker i with corner k first.
+    """Cells of all markers under a blur; row 4 i + k is marker i with corner k first.
 
     Attributes:
-        patterns: (4 x markers, cells) brightness, standardised.
+        patterns: (4 x markers, cells) standardised brightness.
         means: (4 x markers,) mean darkness, 0 to 1.
         deviations: (4 x markers,) standard deviation of the darkness.
     """
@@ -145,7 +145,7 @@ class BlurredCodes:
 
 @lru_cache(maxsize=32)
 def _codes(dictionary: str, bucket: int) -> BlurredCodes:
-    """The codes of a dictionary under a blur of `BLUR_STEP ** bucket` cells; the last 32 are kept."""
+    """Return the codes of a dictionary under a blur of `BLUR_STEP ** bucket` cells. The cache holds 32."""
     cells = np.stack([marker_cells(dictionary, i) for i in range(dictionary_size(dictionary))])
     dark = blurred_darkness(cells, BLUR_STEP**bucket, samples_per_cell=1, samples=SAMPLES_PER_CELL)
     codes = np.stack([np.rot90(dark, -turn, axes=(1, 2)) for turn in range(4)], axis=1)
@@ -155,7 +155,7 @@ def _codes(dictionary: str, bucket: int) -> BlurredCodes:
 
 
 def _read_cells(image: npt.NDArray[np.uint8], corners: ComplexArray, n_cells: int) -> npt.NDArray[np.float32]:
-    """Grey level of each cell (N, n²) in quadrilaterals (N, 4), row by row from the first corner."""
+    """Return the grey levels (N, n²) of the cells in quadrilaterals (N, 4), row-major from corner 0."""
     samples = SAMPLES_PER_CELL
     at = (np.arange(samples * n_cells) + 0.5) / (samples * n_cells)
     points = _square_to_quads(corners, at[None, :], at[:, None]).reshape(len(corners), -1)
@@ -166,7 +166,7 @@ def _read_cells(image: npt.NDArray[np.uint8], corners: ComplexArray, n_cells: in
 
 
 def _square_to_quads(corners: ComplexArray, x: Array, y: Array) -> ComplexArray:
-    """Images (N, ...) of points of the unit square under the homographies that take its corners to (N, 4)."""
+    """Return the images (N, ...) of points of the unit square under homographies to quadrilaterals (N, 4)."""
     first, second, third, fourth = (corner[:, None, None] for corner in corners.T)
     a, b, c = second - third, fourth - third, first - second + third - fourth
 

@@ -1,8 +1,8 @@
-"""Dark quadrilaterals in an image: where markers may be.
+"""Detection of dark quadrilaterals in an image.
 
-Of the boundaries of the dark regions (`skyherd.vision.search.regions`), those are kept that enclose an area
-as a square does. Four corners are taken on each, and a line is fitted to each of the four sides. All
-boundaries of an image are treated at once, by NumPy operations on all of their points.
+Boundaries of dark regions (`skyherd.vision.search.regions`) are filtered by the compactness of their area.
+Four corner points are selected on each boundary, and a line is fitted to each side. All boundaries of an
+image are processed together, by NumPy operations on all their points.
 """
 
 import math
@@ -21,70 +21,74 @@ from skyherd.vision.search.regions import (
 )
 
 MIN_QUAD_SIDE_PX = 7.0
-"""Shortest side of a dark region that is looked at, px between the centres of its outermost pixels. Chosen: a
-marker of 8 px, half a pixel further out on either side, is the smallest that can be told from others."""
+"""Shortest side of a dark region, px between the centres of its outermost pixels. Chosen: a marker of 8 px,
+which is half a pixel longer at either end, is the smallest that can be decoded."""
 
 MIN_AREA_PX2 = MIN_QUAD_SIDE_PX**2 / 2
-"""Smallest area within a boundary, px². Chosen: half of the smallest square's, so that squares at a slant
+"""Smallest area within a boundary, px². Chosen: half of the smallest square's, so that tilted squares
 pass."""
 
 MIN_COMPACTNESS = 0.035
-"""Smallest area over squared length of the boundary. Chosen: a little over half of a square's 1/16 (1/8 when
-its steps run diagonally), so that squares seen at a slant pass and lines do not."""
+"""Smallest ratio of the area to the squared boundary length. Chosen: a little over half of a square's 1/16
+(1/8 for diagonal steps), so that tilted squares pass and lines do not."""
 
 GROWTH_PX = 0.5
-"""By how much the sides are moved outwards, px. Derived: boundaries run through the centres of the outermost
-pixels of a region, whose edge is half a pixel further out."""
+"""Outward shift of the sides, px. Derived: boundaries pass through the centres of a region's outermost
+pixels, half a pixel within its edge."""
 
 ERODED_PX = 1.0
-"""By how much erosion moves a region's sides inwards, px. Derived: `DarkRegions.eroded` takes off one."""
+"""Inward shift of a region's sides by erosion, px. Derived: `DarkRegions.eroded` removes one pixel."""
+
+MAX_EROSIONS = 2
+"""Erosions of the enlarged image after which regions are looked at, each by half a pixel of the image.
+Chosen: they part small squares that touch at their corners, which a whole pixel would destroy."""
 
 SHRINKS = (1, 2, 4)
-"""By how much images are shrunk in which regions are parted from what touches them. Chosen: bridges of two
-pixels break in each, so that those of up to eight do; more would lose all but the largest markers."""
+"""Downsampling factors of the images in which erosion separates touching regions. Chosen: erosion breaks
+bridges of two pixels in each, thus of up to eight pixels; larger factors lose most markers."""
 
 ROUNDED_SHARE = 0.125
-"""Share of a side at either end that is not used to fit its line, since blur rounds the corners. Chosen:
-larger leaves fewer points, smaller bends the line."""
+"""Share of a side that the line fit ignores at either end, because blur rounds the corners. Chosen: a larger
+share leaves fewer points, a smaller one tilts the line."""
 
 SIDE_END_WEIGHT = 1e-6
-"""Weight of the points at the rounded ends, so that a side of a few pixels still has a line. Chosen far below
-1, the weight of the others."""
+"""Weight of the points at the rounded ends, so that a side of a few pixels still has a line. Chosen: far
+below 1, the weight of the other points."""
 
 MIN_LENGTH_PX = 1e-12
-"""Smallest length that a direction is divided by; a side of one point has no direction."""
+"""Smallest divisor of a direction, px; a side of one point has no direction. Chosen."""
 
 MIN_CROSSING = 1e-6
-"""Smallest sine of the angle between two sides that are made to meet; sides more parallel than this have no
-corner, and the quadrilateral is refused."""
+"""Smallest sine of the angle between adjacent sides. Chosen: quadrilaterals with more parallel sides are
+rejected."""
 
 MIN_POINTS = math.ceil(4 * MIN_QUAD_SIDE_PX / math.sqrt(2))
-"""Smallest number of boundary points. Derived: a square whose sides run diagonally has a boundary of
-`side / sqrt(2)` pixels a side."""
+"""Smallest number of boundary points. Derived: a square rotated by 45 degrees has `side / sqrt(2)` boundary
+pixels a side."""
 
 MAX_SIDE_RATIO = 4.0
-"""Largest ratio of a quadrilateral's sides. Derived: a tilt of 75 degrees shortens a side by 3.9."""
+"""Largest ratio of a quadrilateral's sides. Derived: a tilt of 75 degrees shortens a side 3.9 times."""
 
 MAX_AREA_MISMATCH = 0.3
-"""Largest relative difference between the areas of a region and of its quadrilateral. Chosen: a quadrilateral
-through four corners of some other outline misses more."""
+"""Largest relative difference between the areas of a region and its quadrilateral. Chosen: quadrilaterals
+through points of other outlines differ more."""
 
 
 def find_quads(image: Image, known_px: Array | None = None, min_darkness: float = 0.0) -> Array:
     """Return the corners (N, 4, 2), px, of the dark quadrilaterals in a grey image (height, width).
 
-    Corners run clockwise as seen and begin with any of the four. A quadrilateral may be found several times:
-    regions are looked at as they are, and without their outermost pixels, which parts markers from dark
-    squares that touch their corners; the latter also in images of half and a quarter of the size, where wider
-    bridges break.
+    The corners run clockwise in the image and begin with any of the four. A quadrilateral may be found
+    several times, because regions are searched as they are and after erosion. Erosion separates markers from
+    dark squares that touch their corners. It is also applied to images of half and a quarter of the size,
+    where it breaks wider bridges.
 
     Args:
         image: grey.
-        known_px: (K, 4, 2) corners of squares, px, that need not be found again, which takes time. Measured:
-            of markers beside them, 1.6 sides from middle to middle, all are found from 14 px on, and a third
-            of those of 10 px.
-        min_darkness: of `crowded_places`. Measured under usual blur: squares of 9 px and more have 0.075 of
-            their contrast or more, those of 8 px 0.05.
+        known_px: (K, 4, 2) corners of known squares, px, to exclude in order to save time. Measured for
+            markers at a distance of 1.6 sides from known ones: all of 14 px or more are found, and a third of
+            those of 10 px.
+        min_darkness: as in `crowded_places`. Measured under typical blur, as a share of the contrast: at
+            least 0.075 for squares of 9 px or more, and 0.05 for squares of 8 px.
     """
     found = []
     for shrink in SHRINKS:
@@ -103,25 +107,29 @@ def find_quads(image: Image, known_px: Array | None = None, min_darkness: float 
 
 
 def small_quads(mosaic: Mosaic) -> Array:
-    """Return the corners (N, 4, 2), px, of dark quadrilaterals that places of an image show when enlarged.
+    """Return the corners (N, 4, 2), px, of dark quadrilaterals in enlarged parts of an image.
 
-    The filters that keep noise off are then half as wide: cells of a pixel and a half do not run together
-    with what is around the marker, and slim quadrilaterals stay whole. It takes three times as long as the
-    search of the same places in their own size.
+    Relative to the enlarged image, the smoothing filters are half as wide. Cells of 1.5 px stay separate from
+    the surroundings, and narrow quadrilaterals stay whole. The search takes three times as long as at the
+    original size.
     """
-    boundaries = dark_boundaries(dark_regions(mosaic.enlarged()), ENLARGEMENT * MIN_POINTS)
-    quads = _quads_of(boundaries, GROWTH_PX, min_area_px2=(ENLARGEMENT * MIN_QUAD_SIDE_PX) ** 2)
-    return (quads + 0.5) / ENLARGEMENT - 0.5
+    regions, found = dark_regions(mosaic.enlarged()), []
+    min_area_px2 = (ENLARGEMENT * MIN_QUAD_SIDE_PX) ** 2 / 2
+    for erosions in range(MAX_EROSIONS + 1):
+        boundaries = dark_boundaries(regions, ENLARGEMENT * MIN_POINTS // 2)
+        found.append(_quads_of(boundaries, GROWTH_PX + erosions * ERODED_PX, min_area_px2=min_area_px2))
+        regions = regions.eroded()
+    return (np.concatenate(found) + 0.5) / ENLARGEMENT - 0.5
 
 
 def _quads_of(boundaries: Boundaries, growth_px: float, *, min_area_px2: float = MIN_AREA_PX2) -> Array:
-    """Corners (N, 4, 2) of the quadrilaterals among boundaries, their sides moved outwards by `growth_px`."""
+    """Return corners (N, 4, 2) of the quadrilaterals among boundaries, with sides shifted outwards."""
     points, lengths = boundaries.points, boundaries.lengths
     if not lengths.size:
         return np.zeros((0, 4, 2))
     starts = np.cumsum(lengths) - lengths
     area = _areas(points, starts, lengths)
-    # Outer boundaries run one way round, those of holes the other.
+    # Outer boundaries have a positive area, those of holes a negative area.
     square = (area > min_area_px2) & (area > MIN_COMPACTNESS * lengths**2)
     if not square.any():
         return np.zeros((0, 4, 2))
@@ -137,24 +145,24 @@ def _cross(a: ComplexArray, b: ComplexArray) -> Array:
 
 
 def _areas(points: ComplexArray, starts: IntArray, lengths: IntArray) -> Array:
-    """Area within each boundary; positive for those around dark regions."""
+    """Return the signed area within each boundary; positive around dark regions."""
     following = np.roll(points, -1)
     following[starts + lengths - 1] = points[starts]
     return np.asarray(-np.add.reduceat(_cross(points, following), starts) / 2)
 
 
 def _rows_of_largest(values: Array, starts: IntArray, lengths: IntArray) -> IntArray:
-    """For each boundary the row of its largest value, the first of equals."""
+    """Return for each boundary the row of its largest value, the first of equals."""
     largest = np.repeat(np.maximum.reduceat(values, starts), lengths)
     rows = np.flatnonzero(values == largest)
     return np.asarray(rows[np.searchsorted(rows, starts)])
 
 
 def _corner_rows(points: ComplexArray, starts: IntArray, lengths: IntArray) -> IntArray:
-    """RowRecord (N, 4) of four corners along each boundary.
+    """Return the rows (N, 4) of four corner points on each boundary, in ascending order.
 
-    The first is farthest from the boundary's middle, the second farthest from the first, the others
-    farthest from the diagonal between them on either side.
+    One is farthest from the boundary's mean, and the opposite one is farthest from it. The other two are
+    farthest from the diagonal between them, on either side.
     """
     middle = np.add.reduceat(points, starts) / lengths
     first = _rows_of_largest(np.abs(points - np.repeat(middle, lengths)), starts, lengths)
@@ -170,21 +178,19 @@ def _corner_rows(points: ComplexArray, starts: IntArray, lengths: IntArray) -> I
 def _sides(
     points: ComplexArray, starts: IntArray, lengths: IntArray, rows: IntArray
 ) -> tuple[ComplexArray, ComplexArray]:
-    """A point on each side (N, 4) and its direction, by lines fitted to the stretches between corner `rows`.
-
-    Each line is the total least-squares one: through the mean, along the square root of `Σ (p - mean)²`.
-    """
-    # Turn each boundary so that it begins at its first corner: the stretches are then contiguous.
+    """Return a point on each side (N, 4) and its direction, by total least squares between corner `rows`."""
+    # Rotate each boundary so that it begins at its first corner. The points of a side are then contiguous.
     shift = rows[:, 0] - starts
     within = np.arange(points.size) - np.repeat(starts, lengths)
     ring = np.repeat(starts, lengths) + (within + np.repeat(shift, lengths)) % np.repeat(lengths, lengths)
     points = points[ring]
     begins = (rows - shift[:, None]).ravel()
     counts = np.maximum(np.diff(np.append(begins, points.size)), 0)
-    # The ends of a stretch are rounded by blur and left out.
+    # Blur rounds the ends of a side, so they have a negligible weight.
     share = (np.arange(points.size) - np.repeat(begins, counts)) / np.repeat(np.maximum(counts, 1), counts)
     weight = (np.abs(share - 0.5) <= 0.5 - ROUNDED_SHARE).astype(float) + SIDE_END_WEIGHT
     mean = np.add.reduceat(weight * points, begins) / np.add.reduceat(weight, begins)
+    # The line passes through the mean, along the complex square root of Σ (p - mean)².
     along = np.sqrt(np.add.reduceat(weight * (points - np.repeat(mean, counts)) ** 2, begins))
     chord = np.roll(points[begins].reshape(-1, 4), -1, axis=1).ravel() - points[begins]
     along = np.where((along.conj() * chord).real < 0, -along, along)
@@ -193,8 +199,8 @@ def _sides(
 
 
 def _lines_met(means: ComplexArray, along: ComplexArray, growth_px: float) -> ComplexArray:
-    """Corners (N, 4), clockwise, where each side, `growth_px` further out, meets the one before it."""
-    # Boundaries run anticlockwise as seen: outwards is to the right of the way along, +v being down.
+    """Return the intersections (N, 4), clockwise, of adjacent sides shifted outwards by `growth_px`."""
+    # Boundaries run anticlockwise in the image, so outwards is to the right of the direction (v is down).
     means = means + growth_px * 1j * along
     before_means = np.take(means, [3, 0, 1, 2], axis=1)
     before = np.take(along, [3, 0, 1, 2], axis=1)
@@ -205,7 +211,7 @@ def _lines_met(means: ComplexArray, along: ComplexArray, growth_px: float) -> Co
 
 
 def _is_quad(corners: ComplexArray, area: Array, growth_px: float) -> BoolArray:
-    """Which corners (N, 4) make a convex quadrilateral, not too oblong, of the region's own area."""
+    """Return the mask (N,) of convex quadrilaterals with valid side ratio, side and area."""
     sides = np.roll(corners, -1, axis=1) - corners
     lengths = np.abs(sides)
     following, products = np.roll(sides, -1, axis=1), lengths * np.roll(lengths, -1, axis=1)

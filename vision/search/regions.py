@@ -1,9 +1,9 @@
-"""Boundaries of the dark regions of an image: where markers may be.
+"""Adaptive threshold of an image, and the boundaries of its dark regions.
 
-A pixel is dark if it is below the mean of its surroundings by a constant. An image of half the size shows
-first where dark pixels crowd: around a marker's edge they are dark by much and in number, those of noise and
-texture are not. The places found are laid side by side in one smaller image, so that empty parts of the image
-cost nothing, and all of them are treated at once. Places around markers that are known already are left out.
+A pixel is dark if it is below the local mean by a constant. A first pass at half the size selects places with
+a high density of dark pixels. Marker edges exceed this density limit, and noise and texture do not. The
+selected places are copied side by side into one mosaic, which is processed at once. Empty parts of the image
+thus cost no time. Places around known markers are left out.
 """
 
 from dataclasses import dataclass
@@ -15,50 +15,51 @@ from skyherd.geometry import Array, ComplexArray, IntArray
 from skyherd.vision.grey import Image
 
 SMOOTHING_PX = 3
-"""Width, px, of the box filter that takes noise off before the threshold. Chosen: the smallest there is; a
-wider one closes cells of small markers."""
+"""Width of the box filter that reduces noise before the threshold, px. Chosen: the smallest; a wider one
+closes cells of small markers."""
 
 SHARPENING_PX = 5
-"""Width, px, of the box filter whose mean, taken twice, is subtracted again: blur otherwise closes the white
-between a marker's border and a dark ground. Chosen: about the size of a blurred edge."""
+"""Width of the box filter of the unsharp mask, applied twice, px. Without it, blur closes the white between a
+marker's border and a dark ground. Chosen: about the size of a blurred edge."""
 
 WINDOWS_PX = (9, 21)
-"""Widths, px, of the surroundings. Chosen: small ones separate crowded edges, large ones fill thick
-borders."""
+"""Window widths of the adaptive threshold, px. Chosen: the small one separates close edges, the large one
+fills thick borders."""
 
 DARKER = 10
-"""By how many grey levels a dark pixel is below the mean of its surroundings, in the sharpened image. Chosen:
-half of it takes in noise, twice as much loses faint markers."""
+"""Smallest difference of a dark pixel to the local mean in the sharpened image, grey levels. Chosen: half of
+it includes noise, twice as much loses faint markers."""
 
 COARSE_WINDOW = 5
-"""Width, px of the image of half the size, of the surroundings there and of the boxes in which dark pixels
-are counted. Chosen: about a small marker."""
+"""Width of the local mean and of the density window, px of the half-size image. Chosen: about a small
+marker."""
 
 CROWD_FACTOR, MIN_CROWD, MAX_CROWD = 2.2, 2.0, 6.0
-"""Pixels crowd where the mean darkness of a box is so many times that of the whole image, within these bounds
-in grey levels. Derived: noise of standard deviation σ is dark by 0.4 σ on average, to 0.12 σ over 25 pixels,
-so that 2.2 times as much is four standard deviations off."""
+"""Density limit: this factor times the mean darkness of the image, within these bounds in grey levels.
+
+Derived: noise of standard deviation σ has a mean darkness of 0.4 σ, with a standard deviation of 0.12 σ over
+25 pixels. A factor of 2.2 is four standard deviations above the mean."""
 
 CROWD_REACH = 9
-"""Width, px of the image of half the size, of the box around each crowded pixel that is looked at. Chosen: an
-edge's crowd must reach over the marker's border."""
+"""Width of the dilation of dense pixels, px of the half-size image. Chosen: it extends from an edge over the
+marker's border."""
 
 MARGIN_PX = 16
-"""Width of the margin around each place. Derived from what the box filters above reach, `(5 - 1) + (21 - 1) /
-2` px, rounded up to an even number."""
+"""Margin around each place, px. Derived: the reach of the box filters above, `(5 - 1) + (21 - 1) / 2` px,
+rounded up to an even number."""
 
 MAX_MOSAIC_SHARE = 0.33
-"""Share of the image's area beyond which the image is treated as a whole. Chosen: then laying out costs more
-than it saves."""
+"""Share of the image's area above which the image is processed as a whole. Chosen: the mosaic then costs more
+time than it saves."""
 
 
 @dataclass(frozen=True)
 class Boundaries:
-    """B closed boundaries of dark regions, anticlockwise as seen; those of holes in them run clockwise.
+    """B closed boundaries of dark regions, anticlockwise in the image; boundaries of holes run clockwise.
 
     Attributes:
         points: (P,) points of all boundaries, one boundary after the other, u + iv, px.
-        lengths: (B,) number of points of each.
+        lengths: (B,) number of points of each boundary.
     """
 
     points: ComplexArray
@@ -66,23 +67,22 @@ class Boundaries:
 
 
 ENLARGEMENT = 2
-"""How many times as large an image is in which small squares are looked for. Chosen: at twice the size a cell
-of a pixel and a half is as wide as the filters above; three would take more than twice the time of two."""
+"""Enlargement factor of the search for small squares. Chosen: at twice the size, a cell of 1.5 px is as wide
+as the filters above; a factor of three takes more than twice the time."""
 
 KNOWN_LINE_PX = 2 * COARSE_WINDOW - 1
-"""Width, px of the image of half the size, of the line along the edges of known squares on which pixels do
-not crowd. Derived: an edge darkens the means over `COARSE_WINDOW`, taken twice, as far as `COARSE_WINDOW - 1`
-to either side."""
+"""Width of the excluded line along the edges of known squares, px of the half-size image. Derived: two means
+over `COARSE_WINDOW` spread an edge by `COARSE_WINDOW - 1` to either side."""
 
 
 @dataclass(frozen=True)
 class Mosaic:
-    """K places of an image, laid side by side in one image.
+    """K places of an image, copied side by side into one image.
 
     Attributes:
-        image: of all places.
-        mask: half the size, 255 where a pixel belongs to a place.
-        begins: (K,) the first column of each place.
+        image: grey image of all places.
+        mask: image of half the size, 255 where a pixel belongs to a place.
+        begins: (K,) first column of each place.
         offsets: (K,) shift from the mosaic to the image, u + iv, px.
     """
 
@@ -92,7 +92,7 @@ class Mosaic:
     offsets: ComplexArray
 
     def enlarged(self) -> "Mosaic":
-        """Return the mosaic of an image that is `ENLARGEMENT` times as large."""
+        """Return the mosaic enlarged by `ENLARGEMENT`."""
         image, mask = (
             np.asarray(cv2.resize(part, None, fx=ENLARGEMENT, fy=ENLARGEMENT, interpolation=how), np.uint8)
             for part, how in ((self.image, cv2.INTER_LINEAR), (self.mask, cv2.INTER_NEAREST))
@@ -100,37 +100,36 @@ class Mosaic:
         return Mosaic(image, mask, ENLARGEMENT * self.begins, ENLARGEMENT * self.offsets)
 
     def shifts(self, columns: Array) -> ComplexArray:
-        """Return the shifts (N,) to the image, u + iv, px, of what lies at columns (N,) of the mosaic."""
+        """Return the shifts (N,) from columns (N,) of the mosaic to the image, u + iv, px."""
         return self.offsets[np.searchsorted(self.begins, columns, side="right") - 1]
 
 
 @dataclass(frozen=True)
 class DarkRegions:
-    """The dark regions of an image.
+    """Dark regions of an image.
 
     Attributes:
         dark: 255 where the mosaic's image is dark.
-        mosaic: the places of the image that were looked at.
+        mosaic: the searched places of the image.
     """
 
     dark: Image
     mosaic: Mosaic
 
     def eroded(self) -> "DarkRegions":
-        """Return the regions without their outermost pixels: what touches at a corner only comes apart."""
+        """Return the regions eroded by one pixel, which separates regions that touch at a corner."""
         square = np.ones((3, 3), dtype=np.uint8)
         return DarkRegions(np.asarray(cv2.erode(self.dark, square), dtype=np.uint8), self.mosaic)
 
 
 def crowded_places(image: Image, known_px: Array | None = None, min_darkness: float = 0.0) -> Mosaic | None:
-    """Return the places of an image where dark pixels crowd; None if there is none.
+    """Return the places of an image with a high density of dark pixels, or None.
 
     Args:
-        image: grey, (height, width), of which an odd last line or column is not looked at.
-        known_px: (K, 4, 2) corners of squares, px, along whose edges pixels do not count as crowded. What
-            crowds beside them does, and its place may reach over them.
-        min_darkness: smallest mean darkness of a box, grey levels, that counts as crowded, if it is above
-            what follows from the image.
+        image: grey, (height, width); an odd last row or column is ignored.
+        known_px: (K, 4, 2) corners of known squares, px. Pixels inside them and along their edges are
+            excluded. Places beside them may extend over them.
+        min_darkness: lower limit of the density limit, grey levels.
     """
     height, width = (side - side % 2 for side in image.shape)
     if min(height, width) == 0:
@@ -141,13 +140,13 @@ def crowded_places(image: Image, known_px: Array | None = None, min_darkness: fl
 
 
 def dark_regions(mosaic: Mosaic) -> DarkRegions:
-    """Return the dark regions of the places of an image."""
+    """Return the dark regions in a mosaic, by the adaptive threshold."""
     mask = cv2.resize(mosaic.mask, mosaic.image.shape[::-1], interpolation=cv2.INTER_NEAREST)
     return DarkRegions(np.asarray(cv2.bitwise_and(_dark(mosaic.image), mask), dtype=np.uint8), mosaic)
 
 
 def dark_boundaries(regions: DarkRegions, min_points: int) -> Boundaries:
-    """Return the boundaries of dark regions that have `min_points` points or more."""
+    """Return the boundaries of dark regions with at least `min_points` points."""
     mosaic = regions.mosaic
     contours, _ = cv2.findContours(regions.dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     boundaries = [contour for contour in contours if len(contour) >= min_points]
@@ -160,7 +159,7 @@ def dark_boundaries(regions: DarkRegions, min_points: int) -> Boundaries:
 
 
 def _dark(image: Image) -> Image:
-    """255 where an image is dark."""
+    """Return the dark pixels of an image as 255, by the adaptive threshold."""
     smooth, wide = _mean(image, SMOOTHING_PX), _mean(_mean(image, SHARPENING_PX), SHARPENING_PX)
     sharp = np.asarray(cv2.addWeighted(smooth, 2.0, wide, -1.0, 0.0), dtype=np.uint8)
     surroundings = cv2.max(*(_mean(sharp, width) for width in WINDOWS_PX))
@@ -169,7 +168,7 @@ def _dark(image: Image) -> Image:
 
 
 def _mosaic(image: Image, crowded_mask: Image) -> Mosaic:
-    """The places of an image where dark pixels crowd, or all of it if they are many."""
+    """Return the places of an image within a mask, or the whole image if they exceed `MAX_MOSAIC_SHARE`."""
     contours, _ = cv2.findContours(crowded_mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     boxes = np.array([cv2.boundingRect(contour) for contour in contours], dtype=np.int64).reshape(-1, 4)
     low = 2 * boxes[:, :2] - MARGIN_PX
@@ -188,9 +187,9 @@ def _mosaic(image: Image, crowded_mask: Image) -> Mosaic:
 
 
 def _crowded(image: Image, known_px: Array, min_darkness: float) -> Image:
-    """255 around the pixels, of the image of half the size, where dark pixels crowd.
+    """Return the mask of places with a high density of dark pixels, at half the size.
 
-    Those along the edges of squares that are known, (K, 4, 2), px of the image, are left out.
+    Known squares (K, 4, 2), px of the full image, and their edges are excluded.
     """
     half = np.asarray(
         cv2.resize(image, (image.shape[1] // 2, image.shape[0] // 2), interpolation=cv2.INTER_AREA),
@@ -208,7 +207,7 @@ def _crowded(image: Image, known_px: Array, min_darkness: float) -> Image:
 
 
 def _crop(image: Image, u: int, v: int, width: int, height: int) -> Image:
-    """A part of an image, mirrored beyond the border, as box filters do at the border of a whole image."""
+    """Return a part of an image, mirrored beyond the border as in OpenCV's box filters."""
     inside = image[max(v, 0) : v + height, max(u, 0) : u + width]
     top, left = max(-v, 0), max(-u, 0)
     below, right = height - top - inside.shape[0], width - left - inside.shape[1]
@@ -218,5 +217,5 @@ def _crop(image: Image, u: int, v: int, width: int, height: int) -> Image:
 
 
 def _mean(image: Image, width: int) -> Image:
-    """Mean over a box around each pixel."""
+    """Return the mean over a box around each pixel."""
     return np.asarray(cv2.blur(image, (width, width)), dtype=np.uint8)

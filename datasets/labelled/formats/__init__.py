@@ -1,1 +1,1 @@
-"""What a labelled set is written as: its tables of truth, and the formats of others."""
+"""File formats of a labelled set: tables of ground truth, COCO and YOLO."""

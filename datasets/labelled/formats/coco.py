@@ -1,8 +1,8 @@
-"""The COCO keypoint layout: one JSON file a split, places from the image's upper left corner, pixels.
+"""COCO keypoint format: one JSON file per split, coordinates in px from the image's upper left corner.
 
-A pixel's centre is at halves there: u and v are those of the truth table plus 0.5. `bbox`, `segmentation` and
-`area` are of the part of the black square that is in the image, whether or not something covers it; keypoints
-out of the image are `0, 0, 0`.
+Pixel centres are at halves: u and v are those of the truth table plus 0.5. `bbox`, `segmentation` and `area`
+describe the part of the black square inside the image, covered or not. Keypoints outside the image are
+`0, 0, 0`.
 """
 
 import json
@@ -15,7 +15,7 @@ from skyherd.datasets.labelled.formats.outlines import area, bounding_box, visib
 from skyherd.datasets.labelled.labels import KEYPOINTS, OUTSIDE, Labels
 
 Json = dict[str, Any]
-"""A JSON object."""
+"""JSON object."""
 
 CATEGORY = {
     "id": 1,
@@ -24,19 +24,19 @@ CATEGORY = {
     "keypoints": list(KEYPOINTS),
     "skeleton": [[1, 2], [2, 3], [3, 4], [4, 1], [5, 1], [5, 2]],
 }
-"""The only category. Which marker it is, is in an annotation's `marker_id`; keypoints of the skeleton count
-from 1."""
+"""The only category. An annotation's `marker_id` is the marker's id. Keypoints of the skeleton count from
+1."""
 
 DIGITS = 6
-"""Decimals of places, px. *Chosen*: a millionth of a pixel, a hundredth of what the truth table is checked
-to."""
+"""Decimals of coordinates, px. Chosen: a millionth of a pixel, a hundredth of the tolerance of the truth
+table."""
 
 
 def coco_text(description: str, size_px: tuple[int, int], images: Sequence[tuple[int, str, Labels]]) -> str:
-    """The COCO file of a split, as text.
+    """Return the COCO file of a split, as text.
 
     Args:
-        description: of the set, as its spec has it.
+        description: description of the set, from its spec.
         size_px: width and height of every image.
         images: number, file name and labels of each image. Annotations are numbered from 1 in this order.
     """

@@ -1,8 +1,8 @@
-"""The exact truth of a set as two tables (CSV): a row a marker, and a row an image with its camera.
+"""Ground truth of a set as two CSV tables: one row per marker, and one row per image with its camera.
 
 `truth.csv`: image, id, u_px, v_px, heading_deg, side_px, the corners, visible_fraction, the visibility of
-each keypoint, and the Cramér–Rao bound's standard deviations. `images.csv`: image, split, size, and all that
-the image was made with: intrinsics, distortion, pose over the ground (in marker sides), lens, sensor.
+each keypoint, and the Cramér–Rao standard deviations. `images.csv`: image, split, size, and all inputs of the
+image: intrinsics, distortion, pose over the ground (in marker sides), lens, sensor.
 """
 
 import csv
@@ -27,7 +27,7 @@ VISIBILITIES = [f"visibility_{name}" for name in KEYPOINTS]
 
 
 BOUNDS = ["crb_std_u_px", "crb_std_v_px", "crb_std_heading_deg"]
-"""Columns with the least standard deviations (Cramér–Rao)."""
+"""Columns with the Cramér–Rao standard deviations."""
 
 
 NUMBERS = ["u_px", "v_px", "heading_deg", "side_px", *CORNERS, "visible_fraction", *VISIBILITIES, *BOUNDS]
@@ -37,20 +37,20 @@ TRUTH_COLUMNS = ["image", "id", *NUMBERS]
 """All columns of `truth.csv`."""
 
 DIGITS = 9
-"""Decimals of the numbers of `images.csv`. *Chosen*: as those of labels."""
+"""Decimals of the numbers of `images.csv`. Chosen: as those of labels."""
 
 MAX_BYTES = 2**30
-"""Size of the largest table that is read. *Chosen*: rows of some millions of markers."""
+"""Maximum size of a table, bytes. Chosen: rows of some millions of markers."""
 
 MAX_IDS = 2**31
-"""Ids of markers are below this. *Chosen*: far above the largest dictionary."""
+"""Upper limit of marker ids, exclusive. Chosen: far above the largest dictionary."""
 
 Row = dict[str, Any]
-"""Values of a row by column."""
+"""Values of a row, by column."""
 
 
 def label_table(labels: Labels) -> Array:
-    """All numbers of an image's labels, (N, 22): a row a marker, a column for each of `NUMBERS`."""
+    """Return all numbers of an image's labels, (N, 22): a row per marker, a column for each of `NUMBERS`."""
     return np.column_stack(
         [
             labels.centers_px,
@@ -65,7 +65,7 @@ def label_table(labels: Labels) -> Array:
 
 
 def truth_rows(image: str, labels: Labels) -> list[Row]:
-    """The rows of `truth.csv` for an image: its name, the marker's id, and the numbers of `label_table`."""
+    """Return the rows of `truth.csv` for an image: its name, the marker's id, and `label_table`."""
     return [
         {"image": image, "id": marker_id, **dict(zip(NUMBERS, map(_plain, values), strict=True))}
         for marker_id, values in zip(labels.ids.tolist(), label_table(labels).tolist(), strict=True)
@@ -73,12 +73,12 @@ def truth_rows(image: str, labels: Labels) -> list[Row]:
 
 
 def _plain(value: float) -> float | int:
-    """Whole numbers without a point."""
+    """Convert whole numbers to integers."""
     return int(value) if value == int(value) else value
 
 
 def image_row(image: str, split: str, scene: Scene) -> Row:
-    """The row of `images.csv` for an image: all that it was made with."""
+    """Return the row of `images.csv` for an image: all its inputs."""
     station, pose, sensor, camera = scene.station, scene.pose, scene.sensor, scene.camera
     matrix = camera.intrinsic_matrix()
     row = {
@@ -118,12 +118,12 @@ def image_row(image: str, split: str, scene: Scene) -> Row:
 
 
 def _in_sides(values: Row) -> Row:
-    """The values with names that end in `_sides` where they end in `_m`: a side is 1 m."""
+    """Rename columns that end in `_m` to end in `_sides`; a side is 1 m."""
     return {f"{name[:-2]}_sides" if name.endswith("_m") else name: value for name, value in values.items()}
 
 
 def table_text(rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> str:
-    """The text of a CSV file with these rows and columns; numbers keep every digit."""
+    """Return the text of a CSV file with these rows and columns; numbers keep every digit."""
     stream = io.StringIO()
     writer = csv.DictWriter(stream, list(columns), lineterminator="\n")
     writer.writeheader()
@@ -132,10 +132,10 @@ def table_text(rows: Iterable[Mapping[str, Any]], columns: Iterable[str]) -> str
 
 
 def read_table(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
-    """Rows of a CSV file, as texts by column.
+    """Read the rows of a CSV file, as texts by column.
 
     Raises:
-        InputError: it cannot be read, or a column of `needed` is not there.
+        InputError: it cannot be read, or lacks a column of `needed`.
     """
     allowed = "a table that `skyherd dataset make` wrote"
     text = read_text(path, allowed, MAX_BYTES)
@@ -152,10 +152,10 @@ def read_table(path: Path, needed: Iterable[str]) -> list[dict[str, str]]:
 
 
 def read_labels(path: Path) -> dict[str, Labels]:
-    """Read the labels of each image that has any, by the image's name, from `truth.csv`.
+    """Read the labels of each image that has any from `truth.csv`, by the image's name.
 
     Raises:
-        InputError: it cannot be read, or a value is no number.
+        InputError: it cannot be read, or a value is not a number.
     """
     numbers: dict[str, list[list[float]]] = defaultdict(list)
     for line, row in enumerate(read_table(path, TRUTH_COLUMNS), start=2):
@@ -172,7 +172,7 @@ def read_labels(path: Path) -> dict[str, Labels]:
 
 
 def no_labels() -> Labels:
-    """The labels of an image without a marker."""
+    """Return the labels of an image without markers."""
     return _labels(np.zeros((0, 1 + len(NUMBERS))))
 
 

@@ -1,7 +1,7 @@
-"""The YOLO-pose layout: a text file an image, a line a marker, and `data.yaml`.
+"""YOLO-pose format: one text file per image, one line per marker, and `data.yaml`.
 
-A line is `class u v width height` of the box and `u v visibility` of each keypoint, places over the image's
-width and height from its upper left corner; keypoints out of the image are `0 0 0`.
+A line is `class u v width height` of the box and `u v visibility` of each keypoint. Coordinates are fractions
+of the image's width and height, from its upper left corner. Keypoints outside the image are `0 0 0`.
 """
 
 import numpy as np
@@ -11,22 +11,22 @@ from skyherd.datasets.labelled.formats.outlines import bounding_box, visible_out
 from skyherd.datasets.labelled.labels import KEYPOINTS, OUTSIDE, Labels
 
 CLASS = 0
-"""Number of the only class, `marker`. *Derived*: classes count from 0 in `data.yaml`."""
+"""Number of the only class, `marker`. Derived: classes count from 0 in `data.yaml`."""
 
 DIGITS = 9
-"""Decimals of places, which are shares of the image's size. *Chosen*: 1e-6 px in the largest image."""
+"""Decimals of coordinates, which are fractions of the image's size. Chosen: 1e-6 px in the largest image."""
 
 FLIPPED = (1, 0, 3, 2, 4)
-"""Which keypoint each becomes in a mirror image. *Derived*: left and right change places."""
+"""Index of the keypoint that each becomes in a mirror image. Derived: left and right are swapped."""
 
 
 def yolo_text(labels: Labels, size_px: tuple[int, int]) -> str:
-    """The label file of an image of a size (width, height); empty if no marker is in it."""
+    """Return the label file of an image of a size (width, height); empty without markers."""
     return "".join(_line(labels, k, size_px) for k in range(len(labels)))
 
 
 def _line(labels: Labels, k: int, size_px: tuple[int, int]) -> str:
-    """The line of one marker, newline included."""
+    """Return the line of one marker, newline included."""
     size, flags = np.array(size_px, dtype=float), labels.visibilities[k]
     left, top, width, height = bounding_box(visible_outline(labels.corners_px[k], size_px))
     box = np.array([left + width / 2, top + height / 2, width, height]) / np.tile(size, 2)
@@ -38,9 +38,9 @@ def _line(labels: Labels, k: int, size_px: tuple[int, int]) -> str:
 
 
 def folder_yaml(folder: Folder) -> str:
-    """`data.yaml`: the folders of images, from where it lies, and the keypoints.
+    """Return `data.yaml`: the relative folders of the images, and the keypoints.
 
-    Where a split has no image, the other is named twice, since YOLO's trainers refuse a set without both.
+    Without images in one split, the file names the other split twice, because YOLO's trainers require both.
     """
     splits = folder.splits()
     return (

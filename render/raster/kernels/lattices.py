@@ -62,7 +62,7 @@ GAUSS = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
 
 @njit(**INLINE)
 def _feel(table: Any, start: float, at: float, sharpness: float, reach: float, spread: Any) -> Any:
-    """Which lines a pixel feels on an axis, the first and the one after the last, with S of each in `spread`.
+    """Return the first line that a pixel feels on an axis and the one after the last; `spread` has S of each.
 
     Args:
         table: S, as `EdgeSpread` has it.
@@ -82,14 +82,14 @@ def _feel(table: Any, start: float, at: float, sharpness: float, reach: float, s
 
 @njit(**PARTS)
 def _binormal(r: float, x: float, y: float) -> float:
-    """The density of two standard normal variables with correlation r, at x, y."""
+    """Return the density of two standard normal variables with correlation r, at x, y."""
     rest = 1 - r * r
     return math.exp((x * x + y * y - 2 * r * x * y) / (-2 * rest)) / (2 * math.pi * math.sqrt(rest))
 
 
 @njit(**PARTS)
 def _at_corner(correlation: float, cumulants: Any, x: float, y: float) -> Any:
-    """What a corner at distances x, y, in σ, adds to the product of its two edges.
+    """Return what a corner at distances x, y, in σ, adds to the product of its two edges.
 
     `cumulants` are κ_22 / 4, κ_31 / 6 and κ_13 / 6 of lens and pixel across the two edges, over σ⁴.
     """
@@ -103,7 +103,7 @@ def _at_corner(correlation: float, cumulants: Any, x: float, y: float) -> Any:
 
 @njit(**INLINE)
 def _row_sum(grid: Any, row: int, lines: Any, spread: Any) -> Any:
-    """What a row of cells sends to a pixel that feels `lines` across it: `Σ_k T_k S_k`."""
+    """Return what a row of cells sends to a pixel that feels `lines` across it: `Σ_k T_k S_k`."""
     first, end = lines
     before = grid[np.uintp(row), np.uintp(first)]
     total = before
@@ -116,7 +116,7 @@ def _row_sum(grid: Any, row: int, lines: Any, spread: Any) -> Any:
 
 @njit(**INLINE)
 def _grid_sum(grid: Any, lines_x: Any, lines_y: Any, spread_x: Any, spread_y: Any) -> Any:
-    """What a grid sends to a pixel, as if its lines met at right angles: `Σ_j Σ_k T_jk S_j S_k`."""
+    """Return what a grid sends to a pixel, as if its lines met at right angles: `Σ_j Σ_k T_jk S_j S_k`."""
     first, end = lines_y
     before = _row_sum(grid, first, lines_x, spread_x)
     total = before
@@ -129,7 +129,7 @@ def _grid_sum(grid: Any, lines_x: Any, lines_y: Any, spread_x: Any, spread_y: An
 
 @njit(**INLINE)
 def _covered(lines: Any, spread: Any) -> Any:
-    """How much of a pixel lies between the first and the last line of an axis."""
+    """Return how much of a pixel lies between the first and the last line of an axis."""
     (first, end), cells = lines, len(spread) - 1
     inside = float32(1.0) if 0 < first <= cells else float32(0.0)
     if first == 0 and end > 0:
@@ -149,7 +149,7 @@ def _corner_sign(line: int, cells: int) -> Any:
 
 @njit(**PARTS)
 def _corner_sums(grid: Any, lines_x: Any, lines_y: Any, x: Any, y: Any, cosine: float, cumulants: Any) -> Any:
-    """What the corners that a pixel feels add to its light and to its cover.
+    """Return the share of light and of cover by the corners that a pixel feels.
 
     Args:
         grid: (m + 2, m + 2) levels, framed.

@@ -43,7 +43,7 @@ SHAPES = (
 
 @njit(**PARTS)
 def runs_of(outlines_px: Any, margin_px: float, height: int, width: int) -> Any:
-    """Runs of pixels (R, 4) that shapes have in an image: shape, row, first column, column after the last.
+    """Return runs of pixels (R, 4) of shapes in an image: shape, row, first column, column after the last.
 
     They are ordered by shape and row. `outlines_px` (M, V, 2) are the corners of the shapes, in either sense.
     """
@@ -76,7 +76,7 @@ def _rows_of(outline_px: Any, margin_px: float, height: int) -> Any:
 
 @njit(**PARTS)
 def _bound_edges(outline_px: Any, margin_px: float, edges: Any) -> None:
-    """How the moved edges of an outline (V, 2) bound a row, into `edges` (V, 3): cut, slope and n_u.
+    """Return how the moved edges of an outline (V, 2) bound a row, into `edges` (V, 3): cut, slope and n_u.
 
     A row v has the columns `u <= cut - slope v` where n_u is positive, and `u >=` where it is negative.
     """
@@ -115,7 +115,7 @@ def _columns_of(edges: Any, v: int, width: int) -> Any:
 
 @njit(**PARTS)
 def matrix_of_row(matrices: Any, shape: int, row_time: float, matrix: Any) -> None:
-    """The map (3, 3) of a shape when a row is seen, into `matrix`: a parabola through three, if there are."""
+    """Write the map (3, 3) of a shape at a row's instant into `matrix`, by a parabola if there are three."""
     if len(matrices) == 1:
         for i in range(3):
             for j in range(3):
@@ -172,7 +172,7 @@ def slopes_at(matrix: Any, x: float, y: float) -> Any:
 
 @njit(**PARTS)
 def sharpness_of(slopes: Any, w: float, sigma_px: float) -> Any:
-    """How many σ one unit of x and of y is, and the cosine between their gradients, from `slopes_at`."""
+    """Return one unit of x and of y in σ, and the cosine between their gradients, from `slopes_at`."""
     a, b, c, d = slopes
     x, y = math.sqrt(max(a * a + b * b, MIN_SQUARE)), math.sqrt(max(c * c + d * d, MIN_SQUARE))
     return w / (sigma_px * x), w / (sigma_px * y), (a * c + b * d) / (x * y)
@@ -180,7 +180,7 @@ def sharpness_of(slopes: Any, w: float, sigma_px: float) -> Any:
 
 @njit(**PARTS)
 def seen_through(matrix: Any, lens: Any, index: int, u: float, v: float, sigma_px: float) -> Any:
-    """Where a pixel lies in its shape and how sharp it is there: x, y, w, sharpness of x and y, cosine.
+    """Return the place of a pixel in its shape and its sharpness: x, y, w, sharpness of x and y, cosine.
 
     `lens` (6, P) is `LensField.fields` of all pixels, or has none.
     """

@@ -10,6 +10,7 @@ border_bits = 1                          # cells of the black border; 2 on some 
 inverted = false                         # whether markers are white on black
 ids_repeat = false                       # whether an image may show several markers of one id
 every = 1                                # of videos, every frame, or every second, third, …
+half = "test"                            # "tuning" for sources that work on a detector may look at
 ```
 
 Its table `board` gives the marker positions of a calibration board (`skyherd.bench.boards.layout`).
@@ -18,7 +19,7 @@ Its table `board` gives the marker positions of a calibration board (`skyherd.be
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -57,6 +58,9 @@ class ImageSetModel(Model):
     ids_repeat: bool = Field(False, description="whether an image may show several markers of one id")
     every: Annotated[int, Field(ge=1, le=1_000_000)] = Field(
         1, description="of videos, the distance between frames that are taken: 2 is every second one"
+    )
+    half: Literal["tuning", "test"] | None = Field(
+        None, description="whether work on detectors may look at these images (tuning) or not (test)"
     )
     board: BoardModel | None = Field(None, description="the calibration board that all images show")
 

@@ -17,7 +17,7 @@ from typing import Any, Literal, TextIO, get_args
 import numpy as np
 
 from skyherd.files.atomic import whole_file
-from skyherd.messages import Detections
+from skyherd.messages import Detections, Quality
 from skyherd.text import printable, table_cell
 from skyherd.vision import Rejection
 
@@ -34,10 +34,10 @@ STDS = ["std_u_px", "std_v_px", "std_heading_deg"]
 WHERE = ["file", "frame", "time_s"]
 """Columns that identify the image of a row, as the fields of `Place`."""
 
-DETECTION_COLUMNS = [*WHERE, "id", "u_px", "v_px", "heading_deg", "side_px", *STDS, *CORNERS]
+DETECTION_COLUMNS = [*WHERE, "id", "u_px", "v_px", "heading_deg", "side_px", *STDS, "quality", *CORNERS]
 """Columns of the table of detections."""
 
-MEASURED = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_id", "wrong_cells"]
+MEASURED = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_id", "wrong_cells", "log_odds"]
 """Columns of the measurements of a rejected candidate (`Reading`)."""
 
 TESTED = ["quantity", "value", "limit"]
@@ -80,6 +80,7 @@ def detection_rows(place: Place, found: Detections) -> Iterator[Row]:
             "heading_deg": np.degrees(found.headings_rad[k]),
             "side_px": found.sides_px[k],
             **dict(zip(STDS, stds, strict=True)),
+            "quality": Quality(found.qualities[k]).name.lower(),
             "corners_px": found.corners_px[k],
             "covariance": covariance if covariance.any() else None,
         }
@@ -103,6 +104,7 @@ def rejection_rows(place: Place, rejections: Sequence[Rejection]) -> Iterator[Ro
             "likeness": reading.likeness,
             "nearest_id": reading.nearest_id,
             "wrong_cells": reading.wrong_bits,
+            "log_odds": rejection.log_odds if np.isfinite(rejection.log_odds) else None,
             "corners_px": rejection.corners_px,
             "words": rejection.words,
         }

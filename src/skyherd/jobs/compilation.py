@@ -1,4 +1,4 @@
-"""Compiler settings of Numba kernels, and types of their array arguments."""
+"""Options of Numba for kernels, and the types of their array arguments."""
 
 from typing import Any
 
@@ -7,7 +7,7 @@ from numba.core import types
 
 
 def _can_be_kept() -> bool:
-    """Return whether compiled code can be cached in a folder. Without a cache each run compiles it."""
+    """Return whether Numba can cache compiled code in a folder. Otherwise each process compiles it."""
     try:
         njit(cache=True)(_can_be_kept)
     except RuntimeError:
@@ -21,22 +21,24 @@ FLAGS: Any = {
     "error_model": "numpy",
     "fastmath": {"contract", "nsz"},
 }
-"""Settings of all functions. Division by zero gives infinity instead of an error. Fused multiply-add is
-allowed, and the sign of zero is ignored. Values that are not finite are still recognised."""
+"""Options of kernels. A division by zero gives infinity or NaN instead of an error. The compiler may fuse a
+multiplication with an addition, and may ignore the sign of zero. Other fast-math options are off, so that
+tests for infinity and NaN work."""
 
 PARTS: Any = {**FLAGS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Settings of functions that only kernels call: without wrappers for Python and C, which take a fifth of the
-compile time."""
+"""Options of functions that only kernels call. They have no entry points for Python and C, which take a fifth
+of the compile time."""
 
 INLINE: Any = {"inline": "always", **FLAGS}
-"""Settings of functions that are called for each pixel: inlined, since a call with array arguments costs as
-much as the arithmetic. They use unsigned indices, which need no check for negative values."""
+"""Options of functions that run for every pixel. They are inlined into their callers, since a call with array
+arguments costs as much as the arithmetic. Their indices are unsigned, also for speed: Numba tests each signed
+index for negative values, which count from the end."""
 
 
 def readonly(kind: Any, ndim: int) -> Any:
-    """Return the type of a contiguous read-only array; it also accepts writable arrays."""
+    """Return the type of a contiguous array that a kernel only reads. It accepts writable arrays too."""
     return types.Array(kind, ndim, "C", readonly=True)
 
 
 IMAGE = readonly(uint8, 2)
-"""Type of a grey image of 8 bits."""
+"""Type of an 8-bit grey image."""

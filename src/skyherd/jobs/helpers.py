@@ -1,17 +1,17 @@
 """Helpers: forked worker processes that answer requests in order.
 
-A helper is a fork of its parent process. It inherits all loaded modules and data, so that it starts within
-milliseconds without imports or compilation. Threads do not help, since most of the time goes to many short
-calls of NumPy, which hold the interpreter's lock. *Measured* on two cores in two runs: the three cameras of
-`star` took 39 and 47 ms per step in sequence, and 48 and 50 ms in three threads.
+A helper starts as a copy of its parent, with all loaded modules, compiled functions and data. The start takes
+milliseconds. Threads do not help here: most of the time goes to many short calls of NumPy, which hold the
+interpreter's lock. *Measured* for a step of the three cameras of `star`, on two cores: 39 to 47 ms one after
+the other, 48 to 50 ms in three threads.
 
-Only Linux forks processes safely with the libraries used here. On other systems `can_help` returns False, and
-callers work without helpers. OpenCV's threads do not survive a fork, so that OpenCV gets one thread while
-helpers exist (`one_thread`).
+Only Linux forks safely with the libraries used here. Elsewhere `can_help` returns False, and callers work
+without helpers. OpenCV's threads do not survive a fork, so OpenCV gets one thread while there are helpers
+(`one_thread`).
 
 A helper ends when its parent closes it. If the parent ends in any other way, even by SIGKILL, the kernel
-kills the helper (`skyherd.jobs.lifetime`). The thread that creates a helper must therefore live as long as
-the helper is needed. A helper ignores signals, since a terminal sends Ctrl-C to both processes.
+kills the helper (`skyherd.jobs.lifetime`). The thread that makes a helper must therefore live as long as the
+helper. A helper ignores signals, since a terminal sends Ctrl-C to both processes.
 """
 
 import multiprocessing
@@ -39,13 +39,13 @@ Result = TypeVar("Result")
 """Result of an item."""
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
-"""Signals that a helper ignores; its parent handles them."""
+"""Signals that a helper ignores."""
 
 PATIENCE_S = 20.0
-"""Longest time for the end of a closed helper before it is killed, s. *Chosen*: many times the usual time."""
+"""Timeout of `Helper.close`, s; a helper that still runs is killed. *Chosen*: many times the usual time."""
 
 _open: "list[Helper]" = []
-"""Open helpers of this process. A helper that is forked later closes its copies of their pipes."""
+"""Open helpers of this process. Each later fork inherits copies of their pipes, and closes them."""
 
 
 def cores() -> int:
@@ -60,7 +60,7 @@ def can_help() -> bool:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Limit OpenCV to one thread in the body, since its threads do not survive a fork."""
+    """Limit OpenCV to one thread in the body, so that a fork loses no thread."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -72,19 +72,19 @@ def one_thread() -> Iterator[None]:
 
 
 class Helper:
-    """Fork of this process that answers requests in order until it is closed.
+    """Fork of this process that answers requests in order, until it is closed.
 
-    Use it in a `with` block, or call `close`. The helper queues up to `waiting` requests. `ask` blocks while
-    the queue is full.
+    Use it in a `with` block, or call `close`. Requests wait in the helper's queue. When it is full, further
+    requests fill the pipe, and then `ask` blocks.
 
     Attributes:
-        pipe: connection of this process to the helper.
+        pipe: connection to the helper.
 
     Args:
-        serve: returns the answer to a request. It runs in the helper and may keep state there. `answer`
+        serve: returns the answer to a request. It runs in the helper, and may keep state there. `answer`
             raises its exceptions.
-        gone: exception to raise if the helper ends unexpectedly, such as for lack of memory.
-        waiting: length of the queue of requests.
+        gone: exception to raise if the helper ends early, for example if the system kills it to free memory.
+        waiting: size of the queue, requests.
     """
 
     def __init__(self, serve: Callable[[Any], Any], gone: Exception, *, waiting: int = 1) -> None:
@@ -94,13 +94,13 @@ class Helper:
         arguments = (serve, its_pipe, [self.pipe, *(other.pipe for other in _open)], waiting)
         self._process = context.Process(target=_work, args=arguments, daemon=True)
         with _signals_blocked(), warnings.catch_warnings():
-            # Python 3.12 and later warn if any thread runs. OpenBLAS stops and restarts its threads around a
-            # fork.
+            # Python 3.12 and newer warn of a fork while any thread runs. Those of OpenBLAS are harmless: it
+            # stops and restarts them around a fork.
             warnings.simplefilter("ignore", DeprecationWarning)
             self._process.start()
         its_pipe.close()
         _open.append(self)
-        # At its end the interpreter waits for helpers that were not closed. This makes them end.
+        # At its end the interpreter waits for helpers that are still open, so their pipes must close first.
         self._finalizer = Finalize(self, self.pipe.close, exitpriority=10)
 
     def ask(self, request: object) -> None:
@@ -108,7 +108,7 @@ class Helper:
         self.send(pickle.dumps(request, pickle.HIGHEST_PROTOCOL))
 
     def send(self, request: bytes) -> None:
-        """Send a pickled request. Several helpers can share one pickle."""
+        """Send a pickled request, for example the same one to several helpers."""
         try:
             self.pipe.send_bytes(request)
         except OSError:
@@ -119,7 +119,7 @@ class Helper:
         return self.pipe.poll()
 
     def answer(self) -> Any:
-        """Wait for the answer to the oldest unanswered request, and return it."""
+        """Wait for and return the answer to the earliest open request."""
         try:
             error, result = self.pipe.recv()
         except (EOFError, OSError):
@@ -129,7 +129,7 @@ class Helper:
         return result
 
     def close(self) -> None:
-        """End the helper after its current request. Queued requests are dropped."""
+        """End the helper after its current request. Discard the requests in its queue."""
         if self in _open:
             _open.remove(self)
             self._finalizer()
@@ -148,19 +148,19 @@ class Helper:
 
 
 def shared(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, gone: Exception) -> list[Result]:
-    """Return the results of `work` for all items, in order, computed by up to `jobs` parallel helpers.
+    """Return the results of `work` for all items, in order, computed by at most `jobs` parallel helpers.
 
-    An idle helper gets the next item. With one job or item, or where `can_help` returns False, this process
+    An idle helper gets the next item. With one job or item, or where helpers are unavailable, this process
     does the work.
 
     Args:
-        work: returns the result of an item; both must be picklable.
-        items: the items of work.
-        jobs: maximum number of helpers.
-        gone: exception to raise if a helper ends unexpectedly.
+        work: returns the result of an item; both are pickled.
+        items: the items.
+        jobs: largest number of helpers.
+        gone: exception to raise if a helper ends early.
 
     Raises:
-        Exception: the first exception of `work`; the helpers are then ended.
+        Exception: the first exception of `work`; it closes the helpers.
     """
     if min(jobs, len(items)) <= 1 or not can_help():
         return [work(item) for item in items]
@@ -184,7 +184,7 @@ def shared(work: Callable[[Item], Result], items: Sequence[Item], jobs: int, gon
 
 @contextmanager
 def _signals_blocked() -> Iterator[None]:
-    """Block `SIGNALS` in the body, so that none arrives between a fork and its follow-up."""
+    """Block `SIGNALS` in the body, so that none arrives before a new fork ignores them."""
     numbers = {getattr(signal, name) for name in SIGNALS}
     before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
     try:
@@ -194,13 +194,13 @@ def _signals_blocked() -> Iterator[None]:
 
 
 def _work(serve: Callable[[Any], Any], pipe: Connection, others: list[Connection], waiting: int) -> None:
-    """Answer requests until the parent closes the pipe or ends.
+    """Answer requests in the helper until its parent closes the pipe or ends.
 
-    A thread reads the requests, so that the parent does not block while the helper works.
+    A separate thread reads requests, so that the parent does not block while the helper works.
     """
     end_with_parent()
     _open.clear()
-    with suppress(ValueError):  # only a main thread can set handlers
+    with suppress(ValueError):  # `signal.signal` raises it outside the main thread.
         for name in SIGNALS:
             signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {getattr(signal, name) for name in SIGNALS})
@@ -219,7 +219,7 @@ def _work(serve: Callable[[Any], Any], pipe: Connection, others: list[Connection
 
 
 def _read(pipe: Connection, requests: "queue.Queue[bytes | None]", closed: threading.Event) -> None:
-    """Put the requests from a pipe into a queue, and None at the end."""
+    """Move requests from a pipe to a queue, and add None at the end of the pipe."""
     try:
         while True:
             requests.put(pipe.recv_bytes())
@@ -229,7 +229,7 @@ def _read(pipe: Connection, requests: "queue.Queue[bytes | None]", closed: threa
 
 
 def _portable(error: Exception) -> Exception:
-    """Return an error that survives pickling, with the traceback of the helper as a note."""
+    """Return an error that survives pickling, with the helper's traceback as a note."""
     error.add_note("in a helper:\n" + "".join(traceback.format_exception(error)).rstrip())
     try:
         copy = pickle.loads(pickle.dumps(error))

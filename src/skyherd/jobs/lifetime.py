@@ -1,8 +1,8 @@
-"""Processes and temporary folders that end with their parent process, even if it is killed.
+"""Worker processes and temporary folders that end with their parent process, even if it is killed.
 
-A process that gets SIGKILL cannot clean up. On Linux the kernel therefore kills its workers
-(`end_with_parent`). On other systems each worker watches a pipe that closes with its parent. A separate
-process waits for the end of this process and removes its temporary folder (`temporary_folder`).
+A process cannot clean up after SIGKILL. On Linux the kernel therefore kills its workers (`end_with_parent`).
+Elsewhere each worker watches a pipe that closes with its parent. A separate small process waits for the
+parent's end, and removes a temporary folder (`temporary_folder`).
 """
 
 import ctypes
@@ -19,7 +19,7 @@ from multiprocessing import parent_process
 from pathlib import Path
 
 PR_SET_PDEATHSIG = 1
-"""Option of `prctl` for the signal that a process gets when its parent ends. *Defined* by Linux."""
+"""Option of `prctl` that sets the signal sent to a process when its parent ends. Defined by Linux."""
 
 REMOVER = """
 import os, shutil, sys, time
@@ -30,18 +30,18 @@ for _ in range(50):
         break
     time.sleep(0.1)
 """
-"""Program that removes a folder when its input ends. It retries for 5 s, while workers may still write there.
-*Chosen*: workers end within milliseconds."""
+"""Program that removes a folder when its input ends. It tries for 5 s, as workers may still write there.
+Chosen: workers end within milliseconds."""
 
 REMOVER_S = 10.0
-"""Longest time to wait for the program, s. *Chosen*: twice the time of its retries."""
+"""Timeout of `REMOVER`, s. Chosen: twice the time for which it tries."""
 
 
 def end_with_parent() -> None:
-    """Make the system kill this process, created by multiprocessing, when its parent ends in any way.
+    """Ensure that this process of multiprocessing ends when its parent ends, in any way.
 
-    Call it in the process's main thread, before any work. Linux sends the signal at the end of the thread
-    that created the process. That thread must therefore live as long as the process is needed.
+    Call it in the main thread, before any work. The thread that started this process must live as long as the
+    process is needed: Linux sends the signal at the end of that thread.
     """
     parent = parent_process()
     if parent is None:
@@ -54,25 +54,25 @@ def end_with_parent() -> None:
 
 
 def start_worker() -> None:
-    """Prepare a worker process of a pool: it ends with its parent, and ignores interrupts."""
+    """Prepare a worker process of a pool: it ends with its parent, and ignores Ctrl-C."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def temporary_folder(prefix: str) -> Iterator[Path]:
-    """Create a folder for temporary files, which is removed after the body or at the end of this process.
+    """Make a temporary folder, which is removed after the body or at the end of this process.
 
     Args:
-        prefix: beginning of its name.
+        prefix: prefix of its name.
 
     Raises:
-        OSError: the folder cannot be created.
+        OSError: the folder cannot be made, or the process that removes it cannot be started.
     """
     folder = Path(tempfile.mkdtemp(prefix=prefix))
     remover: subprocess.Popen[bytes] | None = None
     try:
-        # In its own session the process does not get the terminal's signals.
+        # A separate session does not get the signals of the terminal.
         remover = subprocess.Popen(
             [sys.executable, "-I", "-S", "-c", REMOVER, str(folder)],
             stdin=subprocess.PIPE,
@@ -89,7 +89,7 @@ def temporary_folder(prefix: str) -> Iterator[Path]:
 
 
 def _end(remover: "subprocess.Popen[bytes]") -> None:
-    """Close the input of the program that removes a folder, and wait for it."""
+    """Close the input of the program that removes a folder, wait for its end, and kill it after a timeout."""
     if remover.stdin is not None:
         remover.stdin.close()
     try:
@@ -100,7 +100,7 @@ def _end(remover: "subprocess.Popen[bytes]") -> None:
 
 
 def _signal_at_parents_end() -> bool:
-    """Request that Linux kills this process at the end of its parent, and return whether it succeeded."""
+    """Request SIGKILL from Linux at the end of the parent, and return whether that succeeded."""
     try:
         libc = ctypes.CDLL(None)
         return bool(libc.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) == 0)
@@ -109,7 +109,7 @@ def _signal_at_parents_end() -> bool:
 
 
 def _exit_with_parent() -> None:
-    """Wait for the end of the parent, and end this process."""
+    """Wait for the end of the parent, which closes a pipe, and end this process."""
     parent = parent_process()
     if parent is not None:
         parent.join()

@@ -1,4 +1,4 @@
-"""Radio over Zenoh: each process is a peer, without a router."""
+"""Radio over Zenoh: all processes are peers, without a broker or router."""
 
 import json
 import threading
@@ -13,31 +13,31 @@ from skyherd.live.lab import LabRadio
 from skyherd.live.mailbox import Radio
 
 ANY_PORT = "tcp/127.0.0.1:0"
-"""Additional address on which a process without TLS listens: any port of loopback. Only one process of a
-machine gets the port of the file. The others connect to it, discover each other there, and connect here."""
+"""Additional endpoint of a process without TLS: any free port of loopback. Only one process of a machine gets
+the port of the lab file. The others connect to it, learn each other's endpoints, and connect directly."""
 
 RETRY_MS = 300
-"""Interval between attempts to bind the port of the file, and to connect to its owner, ms. Chosen: it delays
-the discovery of a new process by at most this time."""
+"""Interval of retries to listen and to connect, ms. Chosen: a new process may be without peers for this
+time."""
 
 CLOSE_S = 1.0
-"""Timeout of closing the session, s. Chosen: published messages are sent within milliseconds."""
+"""Timeout of `ZenohRadio.close`, s. Chosen: published messages are sent within milliseconds."""
 
 
 class ZenohRadio(Radio):
     """Zenoh session in peer mode, without multicast scouting.
 
-    Peers exchange the addresses of known peers, so that a connection to one peer is enough. If the port of
-    the file is in use, a process retries and takes it over once it is free. No process is therefore central.
-    Connecting is retried too, since of two processes that start together neither may have the port yet.
+    Peers exchange the endpoints that they know, so each one needs to reach only one other. A process without
+    the port of the lab file retries, and takes it over when it is free: no process is a single point of
+    failure. It also retries to connect. Two processes that start together find no port open at first.
 
     Args:
-        places: addresses to listen on and to connect to.
-        folder: folder to which the names of certificates are relative.
-        insecure: allow addresses beyond loopback without TLS and client certificates.
+        places: endpoints to listen on and to connect to.
+        folder: folder to which names of certificate files are relative.
+        insecure: True allows endpoints beyond loopback without TLS and client certificates.
 
     Raises:
-        InputError: Zenoh is not installed, the addresses are not secured, or Zenoh refuses them.
+        InputError: Zenoh is not installed, an endpoint is not secured, or Zenoh refuses the endpoints.
     """
 
     def __init__(self, places: LabRadio, folder: Path, *, insecure: bool = False) -> None:
@@ -78,21 +78,21 @@ class ZenohRadio(Radio):
         self._subscribers: list[Any] = []
 
     def publish(self, topic: str, data: bytes) -> None:
-        """Send to all current subscribers; a congested link drops the message."""
+        """Send bytes to all current subscribers. They are dropped where a connection is congested."""
         self._session.put(topic, data, congestion_control=self._drop)
 
     def subscribe(self, pattern: str, take: Callable[[bytes], None]) -> None:
-        """Call `take`, from a thread of Zenoh, with each message on topics that match a pattern."""
+        """Call `take`, in a thread of Zenoh, with each message whose topic matches a pattern."""
         self._subscribers.append(
             self._session.declare_subscriber(pattern, lambda sample: take(bytes(sample.payload)))
         )
 
     def close(self) -> None:
-        """Close the session; messages published before are sent.
+        """Close the session after the published messages are sent. Wait `CLOSE_S` at most.
 
-        Zenoh's `close` takes ten seconds if the session still retries to bind the port of the file. It does
-        not cancel that task (eclipse-zenoh/zenoh issue 2675 and pull request 2754, both open in August 2026).
-        This method therefore waits at most `CLOSE_S`. The connections end with the process at the latest.
+        Zenoh's own `close` waits ten seconds while a process still retries to listen. It does not cancel the
+        task of the retries (eclipse-zenoh/zenoh issue 2675 and pull request 2754, both open in August 2026).
+        The connections end with the process at the latest, and the other peers notice.
         """
         closing = threading.Thread(target=self._close_session, daemon=True)
         closing.start()
@@ -104,10 +104,11 @@ class ZenohRadio(Radio):
 
 
 def additional_places(places: LabRadio) -> list[str]:
-    """Return the addresses with a free port on which a process listens in addition to those of the file.
+    """Return the additional endpoints of a process, on any free port.
 
-    With certificates they use TLS and the hosts of the file, for which the certificate was issued. Without
-    certificates it is a plain port of loopback, and none if an address of the file requires TLS.
+    With certificates they use TLS and the hosts of the lab file, for which the certificate was issued.
+    Without certificates there is one plain endpoint on loopback, if all endpoints of the file are plain and
+    on loopback.
     """
     if places.has_certificates:
         named = places.listen or (places.connect if places.is_loopback else [])

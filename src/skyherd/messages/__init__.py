@@ -5,7 +5,7 @@ left, angles counter-clockwise. Units are in the names.
 """
 
 from skyherd.messages.commands import FlightCommand, VelocityCommand
-from skyherd.messages.detections import Detections, centred
+from skyherd.messages.detections import Detections, Quality, centred
 from skyherd.messages.goals import MotionGoals, RobotGoal
 from skyherd.messages.ids import BORDER_IDS, NO_ID, among, find_rows, rows_of
 from skyherd.messages.proximity import Proximity
@@ -23,6 +23,7 @@ __all__ = [
     "FlightCommand",
     "MotionGoals",
     "Proximity",
+    "Quality",
     "RobotGoal",
     "RoleMap",
     "TreeStatus",

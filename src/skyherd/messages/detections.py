@@ -1,7 +1,8 @@
 """Markers that one unit's detector found in one image, and the unit of length for rules on images."""
 
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,24 @@ from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze, freeze_ids, freeze_image_size
 from skyherd.messages.ids import among
+
+
+class Quality(IntEnum):
+    """Kind of a marker's measurement; a greater value is a better one.
+
+    Attributes:
+        CORNERS: by its corners or edges. Detectors of other libraries report nothing else.
+        ROBUST: by a fit to the pixels that agree on a pose; others, as under glare or salt, are left out.
+        PHOTOMETRIC: by a fit to all of its pixels whose residual is the image's noise.
+    """
+
+    CORNERS = 0
+    ROBUST = 1
+    PHOTOMETRIC = 2
+
+
+def _no_qualities() -> IntArray:
+    return np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -32,9 +51,10 @@ class Detections:
             front left, front right, back right, back left.
         covariances: (N, 3, 3) covariances of (u, v, heading), in px², px·rad and rad²; all zero if the
             detector reports none.
+        qualities: (N,) values of `Quality`; all `CORNERS` if left out.
 
     Raises:
-        MessageError: a shape is wrong, a value is not finite or a side not positive.
+        MessageError: a shape is wrong, a value is not finite, a side not positive, or a quality unknown.
     """
 
     unit_id: int
@@ -46,6 +66,7 @@ class Detections:
     sides_px: Array
     corners_px: Array
     covariances: Array
+    qualities: IntArray = field(default_factory=_no_qualities)
 
     def __post_init__(self) -> None:
         check_time(self)
@@ -56,6 +77,11 @@ class Detections:
         freeze(self, "sides_px", (n,))
         freeze(self, "corners_px", (n, 4, 2))
         freeze(self, "covariances", (n, 3, 3))
+        if n and not np.size(self.qualities):
+            object.__setattr__(self, "qualities", np.full(n, Quality.CORNERS))
+        freeze(self, "qualities", (n,), integer=True)
+        if not np.isin(self.qualities, list(Quality)).all():
+            raise MessageError(f"Detections.qualities: {self.qualities.tolist()}, expected 0, 1 or 2")
         if (self.sides_px <= 0).any():
             raise MessageError("Detections.sides_px: every side must be positive")
 
@@ -79,6 +105,11 @@ class Detections:
         keep = among(self.ids, ids)
         return self if keep.all() else self._kept(keep)
 
+    def of_quality(self, least: Quality) -> "Detections":
+        """Return the detections that were measured at least as well as `least`."""
+        keep = self.qualities >= least
+        return self if keep.all() else self._kept(keep)
+
     def _kept(self, keep: BoolArray) -> "Detections":
         """Return the detections of the mask `keep` (N,)."""
         return Detections(
@@ -91,6 +122,7 @@ class Detections:
             sides_px=self.sides_px[keep],
             corners_px=self.corners_px[keep],
             covariances=self.covariances[keep],
+            qualities=self.qualities[keep],
         )
 
 

@@ -154,7 +154,7 @@ class Overlay:
 
     @property
     def message(self) -> dict[str, Any]:
-        """The overlay as a message."""
+        """Return the overlay as a message."""
         return {"timestamp": self._time, **self._drawn, "metadata": []}
 
     def lines(self, kind: int, points_px: Array, color: str, thickness: float = 2.0) -> None:

@@ -14,12 +14,12 @@ from skyherd.recording.json_codec import json_schema, to_json
 from skyherd.version import __version__
 
 CHUNK_BYTES = 1 << 16
-"""Size at which a chunk of messages is compressed and written early, bytes. Chosen: smaller chunks compress
-worse, larger ones lose more when damaged."""
+"""Size of pending messages at which a chunk is written early, bytes. Chosen: smaller chunks compress worse,
+larger ones lose more when damaged."""
 
 FLUSH_S = 0.5
-"""Longest time span that a killed process loses, s. Chosen: robots move little in it, and shorter chunks
-compress worse."""
+"""Longest time span of the messages that a killed process loses, s. Chosen: robots move little in it, and
+shorter chunks compress worse."""
 
 Schema = tuple[str, type | dict[str, Any]]
 """Name of a schema, and its dataclass or JSON schema."""
@@ -29,13 +29,13 @@ class McapLog:
     """Numbered JSON messages with schemas, in checksummed chunks that end at `flush`.
 
     Attributes:
-        topics: topics and their schemas. All are registered at the start, with ids from 1, so that no chunk
+        topics: topics and their schemas. All are registered at the start, numbered from 1, so that no chunk
             depends on another.
         pending_bytes: size of the data since the last `flush`, which is lost if the process is killed.
 
     Args:
         path: the file to create; an existing one is replaced.
-        topics: as the attribute.
+        topics: topics and their schemas.
 
     Raises:
         OSError: the file cannot be written.
@@ -45,7 +45,7 @@ class McapLog:
         self.topics, self.pending_bytes = topics, 0
         self._flushed_s = -math.inf
         self._file = path.open("wb")
-        # A chunk ends only at `flush`, never between messages that belong together.
+        # Only `flush` ends a chunk, so that messages that belong together share one.
         self._writer = Writer(
             self._file, chunk_size=sys.maxsize, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
@@ -71,13 +71,13 @@ class McapLog:
         self.pending_bytes += len(data)
 
     def flush_when_due(self, now_s: float, next_s: float | None = None) -> None:
-        """Write a chunk if a kill of the process would lose more than `FLUSH_S` or `CHUNK_BYTES`.
+        """Write a chunk if a kill could otherwise lose more than `FLUSH_S` or `CHUNK_BYTES`.
 
-        Call it after messages that belong together. A clock that goes back also causes a chunk.
+        Call it after messages that belong together. A clock that goes back makes a chunk due.
 
         Args:
-            now_s: time of the last message.
-            next_s: time of the next call; None if unknown, which uses `now_s`.
+            now_s: time of the last message, s.
+            next_s: time of the next call, s; `now_s` if None.
         """
         age_s = (now_s if next_s is None else next_s) - self._flushed_s
         if self.pending_bytes >= CHUNK_BYTES or not 0 <= age_s <= FLUSH_S + TIME_TOLERANCE_S:
@@ -95,12 +95,12 @@ class McapLog:
         self._writer.add_metadata(name, texts)
 
     def abandon(self) -> None:
-        """Close the file as it is, after a failed write."""
+        """Close the file without its end, after a failed write."""
         with suppress(OSError):
             self._file.close()
 
     def close(self) -> None:
-        """Finish the file."""
+        """Write the end of the file, and close it."""
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
         finally:
@@ -108,5 +108,5 @@ class McapLog:
 
 
 def nanoseconds(time_s: float) -> int:
-    """Return a time, s, in ns, the unit of MCAP files."""
+    """Return a time in s as integer nanoseconds, the unit of MCAP."""
     return round(time_s * 1e9)

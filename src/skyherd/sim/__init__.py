@@ -1,1 +1,1 @@
-"""The simulation: the true world, the radio, perception, the agents, and the metrics that use the truth."""
+"""Simulation: the true world, the radio, perception, the agents, and ground-truth metrics."""

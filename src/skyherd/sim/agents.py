@@ -1,4 +1,4 @@
-"""The controllers of a scenario's units, as the scenario's file asks for them."""
+"""Controllers of a scenario's units, made from the scenario."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,7 +21,7 @@ from skyherd.sim.physics import read_unit_clock
 
 
 def make_controller(mission: Mission, unit: int) -> AerialController:
-    """A new controller for one unit of a mission; it has seen and received nothing yet."""
+    """Make a controller for one unit of a mission, without any memory."""
     scenario = mission.scenario
     slowest_s = max(model.latency_s + REPORTS_MISSED / model.frame_rate_hz for model in scenario.units)
     return AerialController(
@@ -39,15 +39,15 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
 
 
 ControllerFactory = Callable[[Mission, int], AerialController]
-"""Makes a new controller for a unit of a mission."""
+"""Function that makes a new controller for a unit of a mission."""
 
 
 class UnitAgents:
-    """The controllers of all units, which share nothing.
+    """Independent controllers of all units.
 
     Attributes:
-        controllers: by unit.
-        sets: S_j^c that each unit declared last.
+        controllers: controllers by unit.
+        sets: the control sets S_j^c that the units last declared.
     """
 
     def __init__(self, mission: Mission, controller_for: ControllerFactory) -> None:
@@ -58,14 +58,14 @@ class UnitAgents:
         self._unused = set(units)
 
     def lose(self, unit: int) -> None:
-        """A unit is dead. What takes its place one day starts with a new controller, which knows nothing."""
+        """Mark a unit as dead. Its replacement starts with a new controller, without memory."""
         if unit not in self._unused:
             self.controllers[unit] = self._controller_for(self._mission, unit)
             self._unused.add(unit)
         self.sets[unit] = NO_ROBOTS
 
     def decide(self, detections: Detections, reports: Sequence[UnitReport]) -> Decision:
-        """What the unit that took the image does, given the last report received from each other unit."""
+        """Return the decision of the unit that took the image, given the last received reports."""
         self._unused.discard(detections.unit_id)
         if self._mission.scenario.clocks_differ:
             shown_s = read_unit_clock(self._mission.scenario, detections.unit_id, detections.time_s)
@@ -76,6 +76,6 @@ class UnitAgents:
 
     @property
     def roles(self) -> IntArray:
-        """(N,) row of the template's point that each robot goes to, by the newest map of any unit."""
+        """Row (N,) of each robot's point in the template, by the newest map of any unit."""
         maps = [controller.roles.reported for controller in self.controllers]
         return newest_roles(maps, self._mission.ids.size)

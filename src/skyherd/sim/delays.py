@@ -1,7 +1,7 @@
-"""How long messages take in a scenario, from the image to whoever takes them in, in steps of the world.
+"""Message delays of a scenario, from the image to the use of a message, in whole steps of the world.
 
-A message arrives its sender's latency after the image. Robots take it in at the next step of the world, units
-with the first image of their own after that step.
+A message arrives its sender's latency after the image. Robots use it at the next step of the world. Units use
+it with their first image after that step.
 """
 
 import numpy as np
@@ -9,30 +9,29 @@ import numpy as np
 from skyherd.datasets import Scenario
 
 ROUNDING_STEPS = 1e-9
-"""Share of a step by which a delay may exceed whole steps without costing another one: the rounding of a
-quotient."""
+"""Tolerance of a delay above whole steps, in steps. Derived: above the rounding of a quotient."""
 
 
 def whole_steps(delay_s: float, step_s: float) -> float:
-    """A delay, s, rounded up to whole time steps."""
+    """Return a delay rounded up to whole time steps, s."""
     return float(np.ceil(delay_s / step_s - ROUNDING_STEPS) * step_s)
 
 
 def min_message_delay_s(scenario: Scenario) -> float:
-    """Least time, s, from an image to the robots that take in a message on it."""
+    """Return the minimum time from an image to the robots' use of a message about it, s."""
     return whole_steps(min(unit.latency_s for unit in scenario.units), scenario.step_s)
 
 
 def max_message_delay_s(scenario: Scenario) -> float:
-    """Greatest time, s, from an image to the robots that take in a message on it."""
+    """Return the maximum time from an image to the robots' use of a message about it, s."""
     slowest_s = max(unit.latency_s for unit in scenario.units)
     return whole_steps(slowest_s + scenario.network.delay_s, scenario.step_s)
 
 
 def min_report_delay_s(scenario: Scenario) -> float:
-    """Least time, s, from an image to an image of another unit that takes in the report on it.
+    """Return the minimum time, s, from an image to another unit's image that uses the report about it.
 
-    Where all units take their images at the same steps it is a whole number of images.
+    If all units take their images at the same steps, it is a whole number of images.
     """
     taken_in_s = min_message_delay_s(scenario) + scenario.step_s
     rates_hz = {unit.frame_rate_hz for unit in scenario.units}

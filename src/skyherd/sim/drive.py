@@ -1,4 +1,4 @@
-"""The robots' drives: from the commanded (v, ω) to what the wheels, and the ground below them, make of it."""
+"""Drives of the robots: from commanded (v, ω) to the actual motion of wheels and body."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -10,29 +10,29 @@ from skyherd.messages import VelocityCommand
 
 SLIP_TIME_S = 0.5
 """Correlation time of slip, s. Chosen: longer than a time step, so that slip does not average out within a
-few steps, and shorter than a run. At twice the value a robot is off by about 1.4 times as much in the end."""
+few steps, and shorter than a run. Twice the value increases the final position error by a factor of 1.4."""
 
 STEP_TOLERANCE = 1e-9
-"""A delay that exceeds a whole number of steps by less than this, in steps, is that number of steps. Derived:
-above the rounding of the quotient of 60 s, the longest delay, and a step of 1e-4 s (6e5 x 2^-53 = 7e-11)."""
+"""Tolerance of a delay above a whole number of steps, in steps. Derived: above the rounding of the quotient
+of 60 s, the maximum delay, and a step of 1e-4 s (6e5 x 2^-53 = 7e-11)."""
 
 
 @dataclass(frozen=True)
 class DriveParameters:
-    """What the drives of all robots have in common. Each part is off by default, as in the paper.
+    """Parameters of the drives of all robots. Each effect is off by default, as in the paper.
 
     Attributes:
         max_speed_mps: limit of |v| of a command.
         max_turn_radps: limit of |ω| of a command.
         max_accel_mps2: limit of |dv/dt|.
         max_turn_accel_radps2: limit of |dω/dt|.
-        wheel_step_mps: wheel speeds are multiples of this; 0 for any.
-        dead_zone_mps: wheel speeds below this are 0.
-        gain_error: greatest share by which a wheel is faster or slower than commanded.
-        track_m: distance between the two wheels, which the three above are about.
-        slip: standard deviation of what v and ω gain or lose on the ground, as a share.
+        wheel_step_mps: quantisation step of wheel speeds; 0 for none.
+        dead_zone_mps: magnitude below which a wheel speed becomes 0.
+        gain_error: maximum relative error of a wheel's speed.
+        track_m: distance between the two wheels, for the three preceding effects.
+        slip: standard deviation of the relative error of v and ω on the ground.
         delay_s: time from a command to its effect, rounded up to whole steps.
-        axis_offset_m: distance by which the body's centre and the marker lie ahead of the wheel axis.
+        axis_offset_m: distance of the body's centre and the marker ahead of the wheel axis.
     """
 
     max_speed_mps: float = np.inf
@@ -49,18 +49,18 @@ class DriveParameters:
 
     @property
     def has_wheels(self) -> bool:
-        """Whether anything happens to single wheels."""
+        """True if an effect acts on single wheels."""
         return bool(self.wheel_step_mps or self.dead_zone_mps or self.gain_error)
 
 
 def wheel_speeds(v_mps: Array, omega_radps: Array, track_m: float) -> Array:
-    """Speeds (2, N), m/s, of the left and the right wheels: `v -+ ω track / 2`."""
+    """Return the speeds (2, N), m/s, of the left and the right wheels: `v -+ ω track / 2`."""
     half_difference = omega_radps * (track_m / 2)
     return np.stack([v_mps - half_difference, v_mps + half_difference])
 
 
 def body_rates(wheels_mps: Array, track_m: float) -> tuple[Array, Array]:
-    """V (N,), m/s, and ω (N,), rad/s, of bodies by the speeds (2, N) of their wheels.
+    """Return v (N,), m/s, and ω (N,), rad/s, of bodies from the speeds (2, N) of their wheels.
 
     v is the mean of both wheels, and ω their difference over the track: the inverse of `wheel_speeds`.
     """
@@ -69,30 +69,29 @@ def body_rates(wheels_mps: Array, track_m: float) -> tuple[Array, Array]:
 
 
 class Drive:
-    """The drives of N robots, advanced one time step at a time.
+    """Drives of N robots, advanced one time step at a time.
 
-    A command goes through the following parts in this order. Each part is one key of `DriveParameters` and
-    does nothing without it, so that by default the command is what happens, to the bit. The order is such
-    that no part breaks what an earlier one limits; slip comes last, since it is what the ground does.
+    A command passes the following effects in this order. Each is one key of `DriveParameters` and is off by
+    default, which leaves the command unchanged to the bit. The order keeps the limits of earlier effects
+    intact. Slip is last, because it belongs to the ground.
 
     - delay: the robot obeys the command of `ceil(delay_s / dt)` steps ago, and rests before its first;
     - dead zone: wheel speeds of less than `dead_zone_mps` are zero;
-    - quantisation: wheel speeds are the nearest multiples of `wheel_step_mps`, off by half a step at most;
-    - gain: each wheel turns `1 + e` times as fast, e uniform within `gain_error`, drawn once;
-    - acceleration: v and ω approach that by at most `max_accel_mps2 dt` and `max_turn_accel_radps2 dt`;
-    - slip: the body moves at `(1 + s) v` and `(1 + r) ω`. s and r are independent first-order noise of
-      standard deviation `slip`, stationary from the start: `s' = ρ s + sqrt(1 - ρ²) slip n`, n standard
-      normal, `ρ = exp(-dt / SLIP_TIME_S)`. Where a robot ends then hardly depends on the step.
+    - quantisation: wheel speeds are rounded to the nearest multiples of `wheel_step_mps`;
+    - gain: each wheel turns `1 + e` times as fast, with e uniform within `gain_error`, drawn once;
+    - acceleration: v and ω change by at most `max_accel_mps2 dt` and `max_turn_accel_radps2 dt`;
+    - slip: the body moves at `(1 + s) v` and `(1 + r) ω`, with independent first-order noise s and r of
+      standard deviation `slip` and correlation time `SLIP_TIME_S`.
 
     Attributes:
         gains: (2, N) factors 1 + e of the left and the right wheels.
 
     Args:
-        parameters: of all robots.
-        count: N.
+        parameters: parameters of all robots.
+        count: number N of robots.
         step_s: the time step dt.
-        gain_rng: draws the wheels' gains.
-        slip_rng: draws slip.
+        gain_rng: generator of the wheels' gains.
+        slip_rng: generator of slip.
     """
 
     def __init__(
@@ -115,7 +114,7 @@ class Drive:
         self._slip: Array | None = None
 
     def limit(self, command: VelocityCommand) -> VelocityCommand:
-        """The command with |v| and |ω| clipped to their limits, as the robots accept it."""
+        """Return the command with |v| and |ω| clipped to their limits, as the robots accept it."""
         most = self.parameters
         return VelocityCommand(
             command.ids,
@@ -124,10 +123,10 @@ class Drive:
         )
 
     def step(self, command: VelocityCommand) -> tuple[Array, Array]:
-        """V (N,), m/s, of the wheel axes and ω (N,), rad/s, in the next time step.
+        """Advance one time step; return v (N,), m/s, of the wheel axes and ω (N,), rad/s, in it.
 
         Args:
-            command: for all N robots in order, within the limits.
+            command: command of all N robots in order, within the limits.
         """
         self._commands.append(np.stack([command.v_mps, command.omega_radps]))
         commanded = self._commands[0]
@@ -157,6 +156,8 @@ class Drive:
         if not self.parameters.slip:
             return rates
         noise = self.parameters.slip * self._slip_rng.standard_normal(rates.shape)
+        # First-order noise, stationary from the start: s' = ρ s + sqrt(1 - ρ²) slip n, n standard normal.
+        # The time constant makes the final position nearly independent of the step.
         rho = np.exp(-self._step_s / SLIP_TIME_S)
         self._slip = noise if self._slip is None else rho * self._slip + np.sqrt(1 - rho**2) * noise
         return np.asarray(rates * (1 + self._slip))

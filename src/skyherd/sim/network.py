@@ -1,8 +1,8 @@
-"""The radio between units and robots: messages are delayed, lost, repeated, and arrive out of order.
+"""Radio between units and robots: messages are delayed, lost, repeated, and arrive out of order.
 
-Units that are out of each other's range hear of each other by relay: the radio of each unit passes a report
-on at once when it is the newest of its sender, and all that it has heard last with every report of its own,
-so that a loss costs one period of the images and nothing else.
+Units out of each other's range receive reports by relay. Each unit relays a report immediately if it is the
+newest of its sender. With every report of its own, it also relays the last reports of all other units. A loss
+therefore costs one period of the images.
 """
 
 import heapq
@@ -22,18 +22,17 @@ ToRobots = MotionGoals | Proximity
 
 @dataclass
 class Network:
-    """Messages under way, and the reports that units have received.
+    """Messages in transit, and the reports that units have received.
 
-    A message is delayed by its sender's latency and by up to `delay_s` more, so that a later one may overtake
-    it; reports draw this delay for each receiver, messages to robots once for all of them. It is lost at
-    random for each receiver, and arrives a second time at random.
+    A message is delayed by its sender's latency and by up to `delay_s` more, so that later messages may
+    overtake it. This random delay is drawn for each receiver of a report, and once for all receivers of a
+    message to robots. Losses are independent for each receiver. A message may also arrive twice.
 
     Attributes:
-        model: losses, delay, repeats and relays, as a scenario has them. Relays matter only where there is a
-            range.
-        rng: draws what happens.
+        model: losses, delay, repeats and relays of a scenario. Relays matter only with a limited range.
+        rng: generator of all random events.
         units: number of units.
-        reports: by receiving unit, the newest report that arrived from each other one.
+        reports: by receiving unit, the newest received report of each other unit.
     """
 
     model: NetworkModel
@@ -50,11 +49,11 @@ class Network:
         self.reports = [{} for _ in range(self.units)]
 
     def connect(self, in_range: Sequence[Sequence[int]] | None, dead: Collection[int] = ()) -> None:
-        """Say who receives whom from now on: once a step, since units fly, and fail.
+        """Set the connections of the next step, which change with flight and failures.
 
         Args:
             in_range: by unit, the units that receive its radio; None if all receive all.
-            dead: units whose radio is off.
+            dead: units without radio.
         """
         if in_range is None:
             self._in_range = None
@@ -81,9 +80,9 @@ class Network:
                 self._post(arrival_s, [], message)
 
     def deliver(self, time_s: float) -> list[Delivery]:
-        """Messages to robots that have arrived by now, in the order of arrival; `reports` is updated.
+        """Return the messages to robots that have arrived by now, in order of arrival; update `reports`.
 
-        A report changes nothing where a newer one of the same unit arrived before.
+        A report has no effect after the arrival of a newer one of the same unit.
         """
         delivered: list[Delivery] = []
         while self._waiting and self._waiting[0][0] <= time_s + TIME_TOLERANCE_S:
@@ -97,7 +96,7 @@ class Network:
         return delivered
 
     def _take(self, unit: int, report: UnitReport, arrival_s: float) -> None:
-        """A report arrives at a unit, which passes it on if it is news to it."""
+        """Store a report that arrives at a unit, and relay it if it is new to the unit."""
         last = self.reports[unit].get(report.unit_id)
         if last is not None and report.time_s < last.time_s:
             return
@@ -110,7 +109,7 @@ class Network:
         return self._in_range is not None and self.model.relay
 
     def _spread(self, report: UnitReport, sender: int, arrival_s: float) -> None:
-        """Send a report to all units in range of one that has it, but for whoever made it."""
+        """Send a report to all units in range of a sender, except its author and the sender itself."""
         receivers = range(self.units) if self._in_range is None else self._in_range[sender]
         others = [unit for unit in receivers if unit not in (report.unit_id, sender)]
         if self.model.delay_s or self.model.repeats:
@@ -120,7 +119,7 @@ class Network:
             self._put(arrival_s, others, report)
 
     def forget(self, unit: int) -> None:
-        """Drop all reports that a unit has received, as when it fails."""
+        """Drop all reports that a unit has received; called when it fails."""
         self.reports[unit].clear()
 
     def _post(self, arrival_s: float, receivers: Sequence[int], message: ToRobots | UnitReport) -> None:
@@ -136,14 +135,14 @@ class Network:
         return self.model.delay_s and self.model.delay_s * float(self.rng.random())
 
     def _received(self, count: int) -> BoolArray:
-        """Mask (count,) of the receivers that a message is not lost for."""
+        """Return the mask (count,) of the receivers that get a message."""
         if self.model.message_loss == 0:
             return np.ones(count, dtype=bool)
         return self.rng.random(count) >= self.model.message_loss
 
 
 def connected_parts(in_range: Sequence[Sequence[int]]) -> list[list[int]]:
-    """The parts of a team that hear of each other by relay, each ascending, by their first units.
+    """Return the parts of a team that are connected by relay, each ascending, by their first units.
 
     Args:
         in_range: by unit, the units that receive its radio.

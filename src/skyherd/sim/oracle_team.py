@@ -1,8 +1,8 @@
-"""Robots that follow a law from the literature, which needs more than the units' images tell.
+"""Robots with a law from the literature, which needs more data than the units' images provide.
 
-The laws of `skyherd.sim.baseline_laws` read true positions from the world. They stand in the robots' place
-outside `skyherd.control`, so that the rule that control knows nothing of the truth holds for it without
-exception; wheels and limits are the same, so that `skyherd study methods` can compare the laws.
+The laws of `skyherd.sim.baseline_laws` read true positions from the world. They are outside
+`skyherd.control`, so that control never has access to the truth. Wheels and limits are the same, so that
+`skyherd study methods` can compare the laws.
 """
 
 from collections.abc import Sequence
@@ -20,13 +20,13 @@ from skyherd.sim.world import World
 
 @dataclass(frozen=True)
 class News:
-    """How well the robots are told where they are, once a step.
+    """Quality of the positions that the robots receive, once per step.
 
     Attributes:
         noise_m: standard deviation of the error of each position, along x and along y.
-        loss: share of the steps at which a robot is told nothing, drawn for each robot.
-        lifetime_s: a robot that is told nothing drives on as it did, for at most this long.
-        rng: what draws both.
+        loss: share of the steps in which a robot receives nothing, drawn for each robot.
+        lifetime_s: maximum time for which a robot repeats its last command without a new position.
+        rng: generator of both.
     """
 
     noise_m: float
@@ -36,14 +36,14 @@ class News:
 
 
 class OracleTeam(RobotTeam):
-    """In the place of `skyherd.control.GoalFollowers`, with the same wheels and the same way to speeds.
+    """Team that uses a law instead of `skyherd.control.GoalFollowers`, with the same wheels and wheel law.
 
     Args:
-        world: the truth, read at each step.
-        law: wanted velocities of all robots on the ground, m/s, from their positions.
-        gains: of the robots; one that faces the right way drives as fast as the law wants.
-        wheels: what the robots can do.
-        news: what is lost of the truth on its way to the robots.
+        world: ground truth, read at each step.
+        law: desired velocities of all robots on the ground, m/s, from their positions.
+        gains: gains of the robots. A robot that faces its desired velocity drives at that speed.
+        wheels: kinematics and limits of the robots.
+        news: noise and loss of the positions.
     """
 
     def __init__(self, world: World, law: Law, gains: RobotLaw, wheels: Wheels, news: News) -> None:
@@ -52,10 +52,10 @@ class OracleTeam(RobotTeam):
         self._told_s = np.full(world.ids.size, -np.inf)
 
     def decide(self, time_s: float, delivered: Sequence[Delivery]) -> TeamOrders:
-        """What all robots do by the law, at the places where they are told that the world has them.
+        """Return the orders of all robots by the law, at the positions that they receive from the world.
 
         Raises:
-            InputError: the law gives no velocity for each robot.
+            InputError: the law does not return a finite velocity for each robot.
         """
         world, news = self._world, self._news
         wanted_mps = self._velocities(self._told_positions()) * np.exp(-1j * world.headings_rad)

@@ -1,4 +1,4 @@
-"""From the world to a unit's detections, as a scenario asks for it; among others through rendered pixels."""
+"""Simulated perception of a scenario: rendered images with a detector, or projection of the markers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ from skyherd.sim.world import World
 from skyherd.vision import create_detector, explain_mirrored, load_accuracy
 
 PLAIN_TO_SEE = 0.9
-"""Share of the markers of an image that, if they are found, prove that it is not mirrored. *Chosen*: of a
-mirrored image only markers are found that are their own mirror images, 4 of the 50 of 4X4_50; at half of
-it, a small team in which these are many would pass."""
+"""Minimum share of an image's markers that must be found to prove that it is not mirrored. Chosen: in a
+mirrored image the detector finds only markers that are their own mirror images, 4 of the 50 of 4X4_50. A
+share of one half could be reached in a small team with many of these."""
 
 
 def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
-    """The perception a scenario asks for: `rendered`, `ideal` or `noisy`."""
+    """Make the perception of a scenario: `rendered`, `ideal` or `noisy`."""
     scenario = mission.scenario
     if scenario.perception == "ideal":
         return ProjectedPerception(scenario.marker.side_m, scenario.marker.dictionary)
@@ -41,12 +41,12 @@ def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
 
 
 def make_run_perception(mission: Mission) -> Perception:
-    """The perception a scenario asks for, with the random numbers of its runs."""
+    """Make the perception of a scenario, with the random numbers of its runs."""
     return make_perception(mission, generator(mission.scenario.seed, RunStream.PERCEPTION))
 
 
 def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
-    """The renderer a scenario asks for."""
+    """Make the renderer of a scenario."""
     scenario = mission.scenario
     sensor = scenario.sensor
     return Renderer(
@@ -62,11 +62,11 @@ def make_renderer(mission: Mission, rng: np.random.Generator) -> Renderer:
 
 @dataclass(frozen=True)
 class Shots:
-    """What the images of one instant show.
+    """Content of the images of one instant.
 
     Attributes:
-        time_s: when they are taken.
-        of_units: what each image shows, ascending by unit, which is its stream.
+        time_s: time of the images.
+        of_units: content of each image, ascending by unit; the unit is the stream of the shot.
     """
 
     time_s: float
@@ -74,13 +74,13 @@ class Shots:
 
 
 class RenderedPerception(Perception):
-    """Draws each unit's camera image with `skyherd.render`, and runs the scenario's detector on it.
+    """Perception that renders each unit's image with `skyherd.render` and runs the scenario's detector on it.
 
     Attributes:
-        renderer: draws.
-        detector: detects.
-        can_fork: whether a fork of this process can go on with both: not with a video's encoder, whose
-            threads are lost, nor with a detector of the user's own, which may have threads too.
+        renderer: renderer of the images.
+        detector: the scenario's detector.
+        can_fork: True if a fork of this process can continue with both. A fork loses the threads of a video
+            encoder, and possibly those of a user's own detector.
     """
 
     def __init__(self, mission: Mission, rng: np.random.Generator) -> None:
@@ -98,7 +98,7 @@ class RenderedPerception(Perception):
         return [self.take(shot, time_s) for shot in self.shots(world, units, time_s).of_units]
 
     def shots(self, world: World, units: Sequence[int], time_s: float) -> Shots:
-        """Return what the images of the given units show now: all that `take` needs to know of the world."""
+        """Return the content of the given units' images now: all data of the world that `take` needs."""
         markers = world.markers
         shots = [
             Shot(
@@ -120,7 +120,7 @@ class RenderedPerception(Perception):
         return self.read(shot, time_s, self.renderer.render(shot))
 
     def read(self, shot: Shot, time_s: float, image: Image) -> Sight:
-        """Detect the markers in an image, and judge them by the truth about its shot."""
+        """Detect the markers in an image, and evaluate them by the ground truth of its shot."""
         truth, unit = self.renderer.truth(shot), shot.stream
         detections = self.detector.detect(image, time_s=time_s, unit_id=unit)
         whole_ids = truth.ids[truth.whole]
@@ -131,20 +131,20 @@ class RenderedPerception(Perception):
         return Sight(detections, whole_ids, found_ids, int((~right).sum()), image)
 
     def skip(self, shot: Shot) -> None:
-        """Leave out an image that another process draws; the noise of those that follow is as after it."""
+        """Skip an image that another process renders; the noise of later images stays the same."""
         self.renderer.sensor.skip(shot.camera.size_px)
 
     def _prove_unmirrored(self, unit: int, image: Image, found: int, found_whole: float) -> None:
-        """Refuse a mirrored stream; asked of each unit's images until one shows something.
+        """Raise an error for a mirrored stream; called for each unit's images until one has a detection.
 
-        A mirrored marker is no marker of its dictionary, but for a few. An image of which most markers were
-        found needs no look at its mirror image, which takes as long as a search of the whole image.
+        A mirrored marker is not in the dictionary, except for a few symmetric ones. The mirror image is
+        searched only if few markers were found, because this takes as long as a search of the whole image.
 
         Args:
-            unit: whose image it is.
-            image: what it shows.
+            unit: unit of the image.
+            image: the image.
             found: number of detections in it.
-            found_whole: share of the markers whole in the image that were found.
+            found_whole: share of the whole markers in the image that were found.
         """
         if found_whole < PLAIN_TO_SEE and (why := explain_mirrored(image, self.dictionary)):
             raise InputError(f"unit {unit}", why, "an image as the eye sees it")
@@ -153,7 +153,7 @@ class RenderedPerception(Perception):
 
 
 def _right(detections: Detections, truth: FrameTruth) -> BoolArray:
-    """Which detections (N,) are of a marker that is there, and within half a side of it."""
+    """Return the mask (N,) of detections whose marker is in view, at most half a side away."""
     order = np.argsort(truth.ids)
     place = np.searchsorted(truth.ids, detections.ids, sorter=order).clip(max=truth.ids.size - 1)
     row = order[place]

@@ -1,7 +1,7 @@
-"""The physics of a mission: world, drives and radio, made with the numbers of its scenario.
+"""Physics of a mission: world, drives and radio, made from its scenario.
 
-World and drives take plain numbers and small parameter classes of their own; this is the one place where a
-scenario file is turned into them. The radio takes the scenario's network as it is.
+World and drives take numbers and small parameter classes. Only this module converts a scenario into them. The
+radio takes the scenario's network directly.
 """
 
 from collections.abc import Callable
@@ -17,11 +17,11 @@ from skyherd.sim.sway import Sway
 from skyherd.sim.world import AutopilotLimits, Markers, UnitParameters, World
 
 PPM = 1e-6
-"""A millionth. Derived: what the word says."""
+"""One millionth. Derived: by definition of ppm."""
 
 
 def make_world(mission: Mission) -> World:
-    """The world of a mission at its start."""
+    """Make the world of a mission at its start."""
     scenario = mission.scenario
     return World(
         robots=Markers(mission.ids, mission.positions_m, mission.headings_rad),
@@ -40,13 +40,13 @@ def make_world(mission: Mission) -> World:
 
 
 def read_unit_clock(scenario: Scenario, unit: int, time_s: float) -> float:
-    """What the clock of an aerial unit shows, s, at a time of the world."""
+    """Return the reading of an aerial unit's clock, s, at a time of the world."""
     model = scenario.units[unit]
     return model.clock_offset_s + time_s * (1 + PPM * model.clock_drift_ppm)
 
 
 def make_robot_clocks(scenario: Scenario, count: int) -> Callable[[float], Array]:
-    """What the clocks of `count` robots show, s, by the time of the world."""
+    """Return a function from the time of the world to the readings (N,) of the robots' clocks, s."""
     rng = generator(scenario.seed, RunStream.ROBOT_CLOCKS)
     offsets_s = scenario.robots.clock_offset_s * rng.uniform(-1, 1, count)
     rates = 1 + PPM * scenario.robots.clock_drift_ppm * rng.uniform(-1, 1, count)
@@ -54,7 +54,7 @@ def make_robot_clocks(scenario: Scenario, count: int) -> Callable[[float], Array
 
 
 def make_drive(scenario: Scenario, count: int) -> Drive:
-    """The drives of a scenario's robots, of which there are `count`."""
+    """Make the drives of a scenario's `count` robots."""
     robots, model = scenario.robots, scenario.robots.drive
     parameters = DriveParameters(
         max_speed_mps=robots.max_speed_mps,
@@ -79,7 +79,7 @@ def make_drive(scenario: Scenario, count: int) -> Drive:
 
 
 def make_unit(scenario: Scenario, number: int) -> UnitParameters:
-    """An aerial unit of a scenario; its sway is drawn from the scenario's seed and the unit's number."""
+    """Make an aerial unit of a scenario; its sway depends on the scenario's seed and the unit's number."""
     model, sway = scenario.units[number], None
     if model.sway is not None:
         rng = generator(scenario.seed, RunStream.SWAY, number)
@@ -99,5 +99,5 @@ def make_unit(scenario: Scenario, number: int) -> UnitParameters:
 
 
 def make_network(scenario: Scenario, rng: np.random.Generator) -> Network:
-    """Make the radio of a scenario, whose losses and delays are drawn from `rng`."""
+    """Make the radio of a scenario, with losses and delays drawn from `rng`."""
     return Network(scenario.network, rng, len(scenario.units))

@@ -1,4 +1,4 @@
-"""From the world to a unit's detections by projection, exact or with a detector's measured errors."""
+"""Perception by projection of the markers, exact or with the measured errors of a detector."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from skyherd.geometry import IntArray
 from skyherd.markers.dictionary import card_side, headings_of_corners, sides_of_corners
-from skyherd.messages import Detections
+from skyherd.messages import Detections, Quality
 from skyherd.render import TeamImage, project_team
 from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
@@ -14,15 +14,15 @@ from skyherd.vision import DetectorAccuracy
 
 
 class ProjectedPerception(Perception):
-    """Exact projection of every marker whose card is whole in view, or what a detector would make of it.
+    """Projection of every marker whose card is whole in view, exact or with errors of a detector.
 
     Args:
         side_m: side of the markers.
-        dictionary: of the markers.
-        accuracy: the detector by whose measured recall markers are missed, each for itself in each image, and
-            by whose measured errors places, headings, sides and shapes are wrong; none for exact points of
-            all markers.
-        rng: what draws both.
+        dictionary: dictionary of the markers.
+        accuracy: accuracy of a detector. Its recall determines independently for each marker and image
+            whether the marker is missed. Its errors apply to positions, headings, sides and shapes. None for
+            exact detections of all markers.
+        rng: generator of misses and errors.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class ProjectedPerception(Perception):
         ]
 
     def _sight(self, world: World, unit: int, time_s: float, image: TeamImage, ids: IntArray) -> Sight:
-        """What a unit makes of the markers `ids` that are whole in its image."""
+        """Make the detections of the markers `ids` that are whole in a unit's image."""
         centers, corners, whole_ids = image.centers_px, image.corners_px, ids
         headings, sides = headings_of_corners(centers, corners), sides_of_corners(corners)
         covariances = np.zeros((ids.size, 3, 3))
@@ -70,5 +70,6 @@ class ProjectedPerception(Perception):
             sides_px=sides,
             corners_px=corners,
             covariances=covariances,
+            qualities=np.full(ids.size, Quality.PHOTOMETRIC),
         )
         return Sight(detections, whole_ids, ids, 0, None)

@@ -1,4 +1,4 @@
-"""The robots of a scenario, as its file asks for them: what they know of themselves, and their law."""
+"""Robots of a scenario: their control law, and their knowledge of their own drive and clock."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,14 +30,14 @@ from skyherd.sim.physics import make_robot_clocks
 from skyherd.sim.world import World
 
 SLIP_DEVIATIONS = 3.0
-"""Standard deviations of slip that robots allow for. Chosen: a robot slips more in one step of 370."""
+"""Slip that robots allow for, standard deviations. Chosen: a robot slips more in one of 370 steps."""
 
 TeamFactory = Callable[[Mission, World], RobotTeam]
-"""Makes the robots of a mission; the world is for teams that are given the truth."""
+"""Function that makes the robots of a mission; the world is for teams that use ground truth."""
 
 
 def make_gains(scenario: Scenario) -> RobotLaw:
-    """The robots' gains, in the paper's pixels or in marker sides."""
+    """Return the robots' gains, in the paper's pixels or in marker sides."""
     control = scenario.control
     if control.gains == "pixel":
         return PixelGains(k_v=control.k_v, k_omega=control.k_omega, b_th=control.b_th)
@@ -45,7 +45,7 @@ def make_gains(scenario: Scenario) -> RobotLaw:
 
 
 def make_team(mission: Mission, world: World) -> RobotTeam:
-    """The robots: they follow the units' goals, or a law from the literature, which is given the world."""
+    """Make the robots: they follow the units' goals, or a law from the literature, which reads the world."""
     scenario, gains, wheels = mission.scenario, make_gains(mission.scenario), make_wheels(mission.scenario)
     if scenario.control.method != "similarity":
         return _make_oracle_team(mission, world, gains, wheels)
@@ -69,10 +69,10 @@ def make_team(mission: Mission, world: World) -> RobotTeam:
 
 
 def _make_oracle_team(mission: Mission, world: World, gains: RobotLaw, wheels: Wheels) -> OracleTeam:
-    """Robots that follow a law from the literature, or one's own.
+    """Make robots that follow a law from the literature, or a user-defined one.
 
     Raises:
-        InputError: the law cannot be had, or needs a size of the shape and gets none.
+        InputError: the law cannot be imported, or needs the size of the shape, which the scenario lacks.
     """
     scenario = mission.scenario
     method, found = scenario.control.method, find_law(scenario.control.method)
@@ -88,12 +88,12 @@ def _make_oracle_team(mission: Mission, world: World, gains: RobotLaw, wheels: W
 
 
 def shape_m(mission: Mission) -> ComplexArray:
-    """The shape (N,) on the ground, in metres where `size.unit_m` tells its size, else in template units."""
+    """Return the shape (N,) on the ground, in metres if `size.unit_m` is given, else in template units."""
     return mission.template.points_of(mission.ids).conj() * (mission.scenario.size.unit_m or 1.0)
 
 
 def make_clocks(scenario: Scenario, count: int) -> RobotClocks | None:
-    """How `count` robots tell the age of messages; None where all clocks agree."""
+    """Make the clocks by which `count` robots estimate the age of messages; None if all clocks agree."""
     if not scenario.clocks_differ:
         return None
     team = TeamClock(min_message_delay_s(scenario), count, listens=True)
@@ -101,9 +101,9 @@ def make_clocks(scenario: Scenario, count: int) -> RobotClocks | None:
 
 
 def make_clock_margin_s(scenario: Scenario) -> float:
-    """How much older, s, a message may be than a robot's knowledge of the team's time tells.
+    """Return the maximum error, s, of a message's age by a robot's estimate of the team's time.
 
-    It is what the slowest messages take longer than the fastest; 0 where all clocks agree.
+    It is the difference of the delays of the slowest and the fastest messages; 0 if all clocks agree.
     """
     if not scenario.clocks_differ:
         return 0.0
@@ -111,7 +111,7 @@ def make_clock_margin_s(scenario: Scenario) -> float:
 
 
 def make_latency_compensation(scenario: Scenario, count: int) -> LatencyCompensation | None:
-    """What `count` robots know of their own motion; None where they follow goals as they come."""
+    """Make the latency compensation of `count` robots; None if the scenario disables it."""
     if not scenario.control.latency_compensation:
         return None
     drive = scenario.robots.drive
@@ -126,16 +126,16 @@ def make_latency_compensation(scenario: Scenario, count: int) -> LatencyCompensa
 
 
 def make_wheels(scenario: Scenario) -> Wheels:
-    """What a robot knows of its own wheels."""
+    """Return the kinematics and limits of the robots' wheels."""
     robots = scenario.robots
     return Wheels(robots.max_speed_mps, robots.max_turn_radps, robots.drive.axis_offset_m)
 
 
 def make_avoidance(scenario: Scenario) -> AvoidanceRule:
-    """What the bound on robots' speed goes by: their own wheels, and how old their news may be."""
+    """Return the speed bound of a scenario's robots, from their wheels and the ages of messages."""
     drive, step_s = scenario.robots.drive, scenario.step_s
     rates_hz = {unit.frame_rate_hz for unit in scenario.units}
-    apart_s = step_s if len(rates_hz) > 1 else 1 / rates_hz.pop()  # between two images, of whatever units
+    apart_s = step_s if len(rates_hz) > 1 else 1 / rates_hz.pop()  # minimum time between images of two units
     timing = Timing(
         nominal_age_s=max(unit.latency_s + 1 / unit.frame_rate_hz for unit in scenario.units),
         superseded_age_s=min(unit.latency_s for unit in scenario.units) + apart_s,
@@ -150,16 +150,16 @@ def make_avoidance(scenario: Scenario) -> AvoidanceRule:
 
 @dataclass(frozen=True)
 class Timing:
-    """Ages of messages, and how long commands last; `AvoidanceRule` has the attributes of these names.
+    """Ages of messages, and durations of commands, under the attribute names of `AvoidanceRule`.
 
     Attributes:
-        nominal_age_s: greatest age of a message where none is lost.
-        superseded_age_s: age from which on a newer message may exist.
-        step_s: how long a command lasts.
+        nominal_age_s: maximum age of a message without losses.
+        superseded_age_s: age above which a newer message may exist.
+        step_s: duration of a command.
         delay_s: time from a command to its effect.
-        clock_margin_s: how much older a message may be than the robot's clock shows.
-        bearing_s: time of turning at the greatest rate by which a robot may misjudge its heading.
-        is_synchronous: whether all robots decide at the same instants.
+        clock_margin_s: maximum error by which a message is older than the robot's clock shows.
+        bearing_s: possible heading error, expressed as time of turning at the maximum rate.
+        is_synchronous: True if all robots decide at the same instants.
     """
 
     nominal_age_s: float
@@ -174,14 +174,14 @@ class Timing:
 def make_avoidance_rule(
     model: AvoidanceModel, drive: WheelsModel, wheels: Wheels, *, side_m: float, timing: Timing
 ) -> AvoidanceRule:
-    """Return the bound on robots' speed, of simulated and of live robots.
+    """Return the speed bound of simulated and live robots.
 
     Args:
-        model: how robots keep apart.
-        drive: errors and brakes of their wheels.
-        wheels: limits of their wheels.
-        side_m: side of their markers.
-        timing: ages of messages, and how long commands last.
+        model: settings of collision avoidance.
+        drive: wheel errors and acceleration limit.
+        wheels: limits of the wheels.
+        side_m: side of the robots' markers.
+        timing: ages of messages, and durations of commands.
     """
     brakes_s = wheels.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
     wheel_mps = drive.wheel_step_mps / 2 + drive.dead_zone_mps + drive.gain_error * wheels.max_speed_mps

@@ -1,14 +1,14 @@
-"""Cameras drawn and read side by side, by helpers of the process that runs the loop.
+"""Parallel rendering and detection, by helper processes of the process that runs the loop.
 
-A camera's image depends on the world at that instant, and what is detected in it on the camera's earlier
-images as well, but on nothing that another camera saw. Each helper therefore reads the images of some of the
-cameras for the whole run: it keeps their tracks, and sends back what it detected. Images are drawn into
-memory that all of them share, so that who reads fewer images than another can draw more. The random numbers
-of the noise are one sequence over all images: each helper skips those of the images that it does not draw,
-so that results are the same, byte for byte, however many helpers there are.
+The image of a camera depends on the world at that instant. Its detections also depend on earlier images of
+the same camera, but not on other cameras. Each helper therefore processes the images of some of the cameras
+for the whole run. It keeps their tracks, and sends back the detections. Images are rendered into shared
+memory, so that a helper with fewer images to read can render more. The random numbers of the noise are one
+sequence over all images. Each helper skips those of images that it does not render. Results are therefore
+identical to the byte for any number of helpers.
 
-The first step is taken by the process itself, and the helpers are forked after it: what it made (textures,
-noise, compiled code, the first tracks) is theirs then, and is not made again by each of them.
+The main process executes the first step itself, and forks the helpers afterwards. They inherit its textures,
+noise, compiled code and first tracks.
 """
 
 import mmap
@@ -32,23 +32,22 @@ from skyherd.sim.world import World
 GONE = OutputError(
     "a process that drew cameras has ended by itself; is there enough memory? try fewer --jobs"
 )
-"""What is raised if a helper is gone."""
+"""Error raised if a helper has ended."""
 
 DRAWING, READING = 1, 2
-"""How long it takes to draw an image and to read it, beside each other. *Measured*: 3.4 and 6 ms in
-`star`."""
+"""Relative times of rendering and reading an image. Measured: 3.4 and 6 ms in `star`."""
 
 WAITING = 3
-"""Requests that wait in a helper before others wait in its pipe. *Derived*: to draw, to read what it drew,
-and to read what another drew."""
+"""Number of requests that wait in a helper before others wait in its pipe. Derived: to render, to read the
+own images, and to read those of another helper."""
 
 
 @dataclass(frozen=True)
 class HelperTasks:
-    """What one helper does in a run.
+    """Cameras of one helper in a run.
 
     Attributes:
-        draws: units whose images it draws.
+        draws: units whose images it renders.
         reads: units whose images it reads.
     """
 
@@ -57,10 +56,10 @@ class HelperTasks:
 
 
 def deal(units: int, helpers: int) -> list[HelperTasks]:
-    """Deal the cameras of some units to as many helpers, or fewer, so that all have about as much to do.
+    """Distribute the cameras of some units to helpers with balanced work.
 
-    Cameras are read by one helper after the other in turn. Each draws what it reads, but for this: the one
-    with most to do leaves drawing to the one with least, as long as the most that any has to do gets less.
+    Cameras are assigned for reading in turn. Each helper first renders the images that it reads. Then the
+    helper with the most work transfers rendering to the one with the least, while this reduces the maximum.
     """
     reads = [set(range(first, units, helpers)) for first in range(helpers)]
     draws = [set(own) for own in reads]
@@ -75,14 +74,14 @@ def deal(units: int, helpers: int) -> list[HelperTasks]:
 
 
 class SideBySide(Perception):
-    """The cameras of another perception, side by side; use it in a `with` block, which ends the helpers.
+    """Parallel version of another perception; use it in a `with` block, which ends the helpers.
 
-    What it cannot spread over processes it leaves to the other perception: all but rendered images, what
-    would not survive a fork (`RenderedPerception.can_fork`), and all where processes cannot be forked.
+    It parallelizes only rendered images. It delegates to the other perception if that perception does not
+    survive a fork (`RenderedPerception.can_fork`), or if processes cannot be forked.
 
     Args:
-        perception: what to spread.
-        jobs: number of cores to use; with 1, cameras are drawn one after the other.
+        perception: the perception to parallelize.
+        jobs: number of cores to use; with 1, cameras are processed one after the other.
     """
 
     def __init__(self, perception: Perception, jobs: int) -> None:
@@ -93,7 +92,7 @@ class SideBySide(Perception):
         self._spreads = jobs > 1 and can_help()
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> Iterable[Sight]:
-        """What each of the given units sees now, as soon as it is known; see `Perception.look`."""
+        """Return the output of each unit's camera as soon as it is available; see `Perception.look`."""
         perception = self._perception
         begun, self._begun = self._begun, self._begun or bool(units)
         spreads = self._spreads and begun and len(world.cameras) > 1
@@ -109,7 +108,7 @@ class SideBySide(Perception):
         return self._sights(units, self._ask_for_reading(set(units)))
 
     def _sights(self, units: Sequence[int], reading: list[Helper]) -> Iterator[Sight]:
-        """Sights of units in their order, of each as soon as it is read, while others are read."""
+        """Yield the sights of units in their order, each as soon as it is read."""
         sights: dict[int, Sight] = {}
         for unit in units:
             while unit not in sights:
@@ -117,7 +116,7 @@ class SideBySide(Perception):
             yield replace(sights[unit], image=self._images[unit].copy())
 
     def _ask_for_reading(self, units: set[int]) -> list[Helper]:
-        """Ask for each image to be read as soon as it is drawn; return who was asked, in this order."""
+        """Request to read each image once it is rendered; return the helpers in the order of requests."""
         asked = []
 
         def ask(reader: int, images: AbstractSet[int]) -> None:
@@ -134,7 +133,7 @@ class SideBySide(Perception):
         return asked
 
     def _fork(self, perception: RenderedPerception, sizes_px: list[tuple[int, int]]) -> None:
-        """Deal the cameras to helpers, one for each job, and begin these."""
+        """Distribute the cameras to helpers, one for each job, and start them."""
         for unit, (width, height) in enumerate(sizes_px):
             shared = mmap.mmap(-1, width * height)
             self._images[unit] = np.frombuffer(shared, np.uint8).reshape(height, width)
@@ -155,19 +154,19 @@ class SideBySide(Perception):
 
 
 class _Photographer:
-    """What a helper does: draws the images of its share, skips the others, and reads what it is told to.
+    """Work of a helper: render the images of its share, skip the others, and read on request.
 
     Args:
-        perception: what draws and reads.
-        share: units whose images it draws.
-        images: where the image of each unit is drawn, (height, width), memory that is shared.
+        perception: renderer and detector.
+        share: cameras of the helper.
+        images: shared memory for the image (height, width) of each unit.
     """
 
     def __init__(self, perception: RenderedPerception, share: HelperTasks, images: dict[int, Image]) -> None:
         self._perception, self._share, self._images = perception, share, images
 
     def serve(self, request: Shots | AbstractSet[int]) -> dict[int, Sight]:
-        """Draw images; or return what some units see in theirs, without the images."""
+        """Render images, or return the sights of some units without the images."""
         if isinstance(request, Shots):
             self._shots = request
             for shot in request.of_units:

@@ -1,4 +1,4 @@
-"""What a unit's camera gives, and the interface of what makes it of the world."""
+"""Output of a unit's camera, and the interface of perceptions, which make it from the world."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ from skyherd.sim.world import World
 
 @dataclass(frozen=True)
 class Sight:
-    """What one unit's camera gave, and the truth that recall is judged by.
+    """Output of one unit's camera, with the ground truth for recall.
 
     Attributes:
-        detections: for the controller.
+        detections: detections for the controller.
         whole_ids: robots and obstacles whose whole marker card is in the image.
         found_ids: those of them that were detected.
-        false_detections: detections of neither robot nor obstacle, or farther than half a side from theirs.
-        image: the grey picture, if one was made.
+        false_detections: number of detections without a robot or obstacle within half a side.
+        image: the grey picture, or None if none was made.
     """
 
     detections: Detections
@@ -29,24 +29,25 @@ class Sight:
 
 
 class Perception(Protocol):
-    """From the world to what the units detect: by rendering and detecting, by projection, or otherwise.
+    """Interface from the world to the units' detections, by rendering, projection or other methods.
 
-    It is the one place in the loop where the truth turns into detections, so it alone may read `world`; what
-    it puts into `Sight.detections` is all that the controllers get.
+    Only perceptions convert ground truth into detections, so only they may read `world`. Controllers receive
+    nothing else than `Sight.detections`.
     """
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> Iterable[Sight]:
-        """What each of the given units sees now.
+        """Return the output of each given unit's camera now.
 
         Args:
-            world: the truth: `world.cameras[unit]`, `world.camera_pose(unit)` and `world.markers`.
-            units: those that take an image now, ascending; dead units and lost frames are not among them.
-            time_s: now; called once a step, in the order of time, also with no units at all.
+            world: ground truth: `world.cameras[unit]`, `world.camera_pose(unit)` and `world.markers`.
+            units: units that take an image now, ascending, without dead units and lost frames.
+            time_s: the time now. The method is called once per step, in the order of time, also without
+                units.
 
         Returns:
-            One `Sight` for each unit, in the order of `units`: a list, or an iterator, in which case units
-            decide while images of others are still being made. Its detections carry that unit's id and this
-            time. The same calls after the same construction must give the same result: random numbers come
-            from a generator that is passed to the constructor.
+            One `Sight` per unit, in the order of `units`, as a list or an iterator. With an iterator, units
+            decide while other images are still processed. Detections carry the unit's id and this time. The
+            same calls after the same construction must give the same result. Random numbers must come from a
+            generator that is an argument of the constructor.
         """
         ...

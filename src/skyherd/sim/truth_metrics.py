@@ -1,10 +1,10 @@
-"""Metrics that need the truth: the cost V, the topological conditions, the quality of the shape.
+"""Ground-truth metrics: the cost V, the topological conditions, and the quality of the shape.
 
-They are for plots, summaries and tests; nothing here reaches `skyherd.control`.
+They serve plots, summaries and tests, and are not available to `skyherd.control`.
 
-The conditions TC1-TC5 are judged by the control sets that the units declared in their last reports, whether
-or not the robots received goals from them. How long robots had no goal to follow is a number of its own,
-`uncommanded_robot_s` in the summary (`skyherd.analysis.summary`).
+The conditions TC1-TC5 use the control sets that the units declared in their last reports, whether or not the
+robots received goals. The time without a goal is a separate metric, `uncommanded_robot_s` in the summary
+(`skyherd.analysis.summary`).
 """
 
 from collections.abc import Sequence
@@ -27,11 +27,11 @@ from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_comple
 
 @dataclass(frozen=True)
 class ShapeFit:
-    """The similarity that takes the template nearest to a formation on the ground.
+    """Best-fitting similarity from the template to a formation on the ground.
 
     Attributes:
         error: RMS distance of the robots to the fitted template over the RMS radius of the formation.
-        scale: metres for a template unit.
+        scale: metres per template unit.
         rotation_rad: rotation of the template, counter-clockwise seen from above.
         squares_m2: sum of squared distances to the fitted template.
     """
@@ -43,7 +43,7 @@ class ShapeFit:
 
 
 def fit_shape(template_ground: np.ndarray, positions: np.ndarray) -> ShapeFit:
-    """The best fit of a template to a formation.
+    """Fit a template to a formation.
 
     Args:
         template_ground: (N,) template points, complex, x right and y up.
@@ -64,18 +64,18 @@ def fit_shape(template_ground: np.ndarray, positions: np.ndarray) -> ShapeFit:
 
 
 def affine_error(template_ground: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """How far formations are from the nearest affine image of their template: stretched and sheared ones too.
+    """Return the relative distance of formations from the nearest affine image of their template.
 
-    RMS distance of the robots to the image over the RMS radius of the formation, as `ShapeFit.error` has it
-    for similar images, and never more than that. With `1, Re p, Im p` for columns of A, the images are the
-    range of A, and the residual is `z - A A⁺ z`.
+    It is the RMS distance of the robots to that image over the RMS radius of the formation. It never exceeds
+    `ShapeFit.error`, the same for similar images. For the matrix A with columns `1, Re p, Im p`, the images
+    are the range of A, and the residual is `z - A A⁺ z`.
 
     Args:
         template_ground: (N,) template points p, complex.
         positions: (..., N) positions z of the robots, complex, m, of one or more formations.
 
     Returns:
-        (...) one number a formation.
+        (...) one number per formation.
     """
     columns = np.stack([np.ones(template_ground.size), template_ground.real, template_ground.imag], axis=1)
     residual = positions - positions @ (columns @ np.linalg.pinv(columns)).T
@@ -85,17 +85,17 @@ def affine_error(template_ground: np.ndarray, positions: np.ndarray) -> np.ndarr
 
 @dataclass(frozen=True)
 class TruthMetrics:
-    """The true state of a mission at one instant.
+    """Ground-truth metrics of a mission at one instant.
 
     Attributes:
         V: the cost function, m² (paper, eq. 9).
         V_units: (U,) each unit's term `V^j = 1/2 Σ_i |x_i^{d,j} - x_i|²`, m²; NaN for a set of robots that
             defines no similarity.
-        scales: (U,) metres for a template unit, of each unit's partial formation.
+        scales: (U,) metres per template unit, of each unit's partial formation.
         rotations_rad: (U,) rotations of the partial formations, counter-clockwise seen from above.
         conditions: the topological conditions TC1 to TC5 (paper, Section II).
         shape: the fit of the whole formation.
-        min_separation_m: least distance between the centres of two robots.
+        min_separation_m: minimum distance between the centres of two robots.
     """
 
     V: float
@@ -110,7 +110,7 @@ class TruthMetrics:
 def _fit_parts(
     template: ComplexArray, positions: ComplexArray, controlled: BoolArray
 ) -> tuple[ComplexArray, Array]:
-    """Factors (U,) of the units' similarities, and V^j (U,), m²; both NaN where there is no similarity."""
+    """Return the factors (U,) of the units' similarities, and V^j (U,), m²; both NaN without a similarity."""
     unit, robot = np.nonzero(controlled)
     units = len(controlled)
     partial = fit_similarities(template[robot], positions[robot], group=unit, groups=units)
@@ -121,23 +121,23 @@ def _fit_parts(
 
 
 def total_cost(template: ComplexArray, positions: ComplexArray, controlled: BoolArray) -> float:
-    """V, m² (paper, eq. 9), of robots at any positions under any topology, as `TruthMetrics.V` has it.
+    """Return V, m² (paper, eq. 9), for any positions and topology, as in `TruthMetrics.V`.
 
     Args:
         template: (N,) template points, complex, x right and y up.
         positions: (N,) positions of the robots, complex, m.
-        controlled: (U, N) whether each unit controls each robot.
+        controlled: (U, N) mask of the robots that each unit controls.
     """
     return _summed(_fit_parts(template, positions, controlled)[1])
 
 
 def _summed(costs: Array) -> float:
-    """The sum of those costs (U,) that are not NaN, in the order of the units."""
+    """Return the sum of the costs (U,) without NaN, in the order of the units."""
     return float(costs[~np.isnan(costs)].sum())
 
 
 class TruthObserver:
-    """Computes the metrics of one team at each instant.
+    """Observer that computes the metrics of one team at each instant.
 
     Args:
         template: the shape at the start.
@@ -157,13 +157,13 @@ class TruthObserver:
         dead: Sequence[int] = (),
         shape: Template | None = None,
     ) -> TruthMetrics:
-        """The metrics of robots at given positions under a given topology.
+        """Return the metrics of robots at given positions under a given topology.
 
         Args:
             positions_m: (N, 2) positions on the ground.
             sets: S_j^c, the robots that each unit controls.
-            dead: units that have failed, which TC1 to TC5 leave out.
-            shape: the shape at this time, each robot with its own point; the template if None.
+            dead: failed units, which TC1 to TC5 exclude.
+            shape: the shape at this time, with the points in the order of the roles; the template if None.
         """
         template = self.template_ground if shape is None else shape.points_of(self.ids).conj()
         positions = to_complex(positions_m)
@@ -180,16 +180,16 @@ class TruthObserver:
         )
 
     def _checked(self, topology: BoolArray) -> Conditions:
-        """TC1 to TC5 of a topology (U, N), computed anew only where it has changed."""
+        """Return TC1 to TC5 of a topology (U, N), computed only after a change."""
         if not np.array_equal(topology, self._topology):
             self._topology, self._conditions = topology, check_conditions(topology)
         return self._conditions
 
 
 def _min_separation_m(positions_m: Array) -> float:
-    """Least distance between two of the positions (N, 2).
+    """Return the minimum distance between two of the positions (N, 2).
 
-    The nearest neighbour that the tree finds for a robot is the robot itself, so that the second counts.
+    The nearest neighbour of a robot in the tree is the robot itself, so that the second one counts.
     """
     distances, _ = KDTree(positions_m).query(positions_m, 2)
     return float(np.asarray(distances)[:, 1].min())

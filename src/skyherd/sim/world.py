@@ -1,8 +1,8 @@
-"""The truth: unicycle robots on the ground, and aerial units with their autopilots.
+"""Ground truth: unicycle robots on the ground, and aerial units with their autopilots.
 
 Robots have unicycle kinematics and units single-integrator kinematics, as in the paper (Sections II and VI).
-Numbers are in the ground frame: x, y in metres, angles counter-clockwise from +x. `control` never sees any of
-this; a scenario's numbers come from `skyherd.sim.physics`.
+Quantities are in the ground frame: x, y in metres, angles counter-clockwise from +x. `control` never has
+access to them. `skyherd.sim.physics` provides the numbers of a scenario.
 """
 
 from collections.abc import Sequence
@@ -17,16 +17,16 @@ from skyherd.sim.drive import Drive
 from skyherd.sim.sway import Sway
 
 MIN_SPEED_MPS = 1e-12
-"""Speeds are divided by at least this, m/s. Chosen: far below any speed of flight; it only avoids 0 / 0."""
+"""Minimum divisor of speeds, m/s. Chosen: far below any flight speed; it only avoids 0 / 0."""
 
 
 def move_unicycles(
     positions_m: Array, headings_rad: Array, v_mps: Array, omega_radps: Array, step_s: float
 ) -> tuple[Array, Array]:
-    """Positions (N, 2) and headings (N,) of unicycles after `step_s` at constant v and ω: exact arcs.
+    """Return positions (N, 2) and headings (N,) of unicycles after `step_s` at constant v and ω.
 
-    The chord of an arc that turns by `a = ω t` is `v t sin(a/2) / (a/2)` long and points along the mean of
-    the two headings, which holds for a = 0 too.
+    The motion is an exact arc. The chord of an arc with the turn `a = ω t` has the length
+    `v t sin(a/2) / (a/2)` and the mean direction of the two headings. This also holds for a = 0.
     """
     turned_rad = omega_radps * step_s
     length = v_mps * step_s * np.sinc(turned_rad / (2 * np.pi))
@@ -43,9 +43,9 @@ def move_bodies(
     step_s: float,
     axis_offset_m: float,
 ) -> tuple[Array, Array]:
-    """`move_unicycles` for bodies whose centres lie ahead of their wheel axes by `axis_offset_m`.
+    """Move unicycles whose body centres lie `axis_offset_m` ahead of their wheel axes; see `move_unicycles`.
 
-    v is the speed of the axis, which moves on an exact arc; positions (N, 2) are of the bodies' centres.
+    v is the speed of the axis, which moves on an exact arc. Positions (N, 2) are those of the body centres.
     """
     if not axis_offset_m:
         return move_unicycles(positions_m, headings_rad, v_mps, omega_radps, step_s)
@@ -71,7 +71,7 @@ class Markers:
 
 @dataclass(frozen=True)
 class UnitParameters:
-    """One aerial unit: its camera, where it starts, and what its gimbal and lens do by themselves.
+    """Parameters of one aerial unit: camera, start, and autonomous motion of gimbal and lens.
 
     Attributes:
         camera: the camera at a zoom of 1.
@@ -81,8 +81,8 @@ class UnitParameters:
         tilt_rad: constant tilts about the camera's u and v axes.
         zoom_times_s: (K,) times, ascending, of the prescribed zooms.
         zooms: (K,) factors on the focal length at these times; linear between, constant outside.
-        zoom_range: least and greatest factor by which the unit itself may zoom in addition.
-        sway: random tilts in addition; None if the unit hangs still.
+        zoom_range: minimum and maximum of the unit's own additional zoom factor.
+        sway: additional random tilts; None for none.
     """
 
     camera: Camera
@@ -98,11 +98,11 @@ class UnitParameters:
 
 @dataclass(frozen=True)
 class AutopilotLimits:
-    """Limits that the autopilots of all units keep.
+    """Limits enforced by the autopilots of all units.
 
     Attributes:
-        min_height_m: least height.
-        max_height_m: greatest height.
+        min_height_m: minimum height.
+        max_height_m: maximum height.
         max_speed_mps: limit of the horizontal speed.
         max_climb_mps: limit of the vertical speed.
         max_yaw_rate_radps: limit of the yaw rate.
@@ -120,7 +120,7 @@ class Fleet:
     """State of the U aerial units.
 
     Attributes:
-        positions_m: (U, 2) on the ground plane.
+        positions_m: (U, 2) positions on the ground plane.
         heights_m: (U,) heights of the cameras.
         yaws_rad: (U,) yaws; at yaw ψ the camera's +u lies along (cos ψ, sin ψ).
         tilts_rad: (U, 2) tilts about the cameras' u and v axes.
@@ -134,7 +134,7 @@ class Fleet:
     zooms: Array
 
     def pose(self, unit: int) -> CameraPose:
-        """Pose of one unit's camera."""
+        """Return the pose of one unit's camera."""
         x, y = self.positions_m[unit].tolist()
         tilt_u, tilt_v = self.tilts_rad[unit].tolist()
         return CameraPose(
@@ -147,7 +147,7 @@ class Fleet:
 
 
 def _fly(fleet: Fleet, commands: Sequence[FlightCommand], *, limits: AutopilotLimits, step_s: float) -> Fleet:
-    """The fleet after `step_s`: single integrators with limited speeds, each in its camera's axes."""
+    """Return the fleet after `step_s`: single integrators with limited speeds, in their cameras' axes."""
     lateral = np.array([command.lateral_mps for command in commands])
     speed = np.linalg.norm(lateral, axis=1, keepdims=True)
     lateral *= np.minimum(1.0, limits.max_speed_mps / np.maximum(speed, MIN_SPEED_MPS))
@@ -165,22 +165,22 @@ def _fly(fleet: Fleet, commands: Sequence[FlightCommand], *, limits: AutopilotLi
 
 
 class World:
-    """Robots, obstacles and aerial units as they truly are; `control` never sees it.
+    """True state of robots, obstacles and aerial units; `control` never has access to it.
 
     Attributes:
         ids: (N,) robots.
         positions_m: (N, 2) centres of the robots' markers.
         headings_rad: (N,) headings of the robots.
         fleet: state of the aerial units.
-        cameras: (U,) one for each unit, at a zoom of 1.
+        cameras: (U,) cameras of the units, at a zoom of 1.
 
     Args:
         robots: the robots' markers at the start.
-        obstacles: markers of the obstacles, which never move.
+        obstacles: markers of the static obstacles.
         drive: drives of the robots, at rest.
         units: the aerial units.
         autopilot: limits of their flight.
-        radio_range_m: distance on the ground plane up to which units receive one another; None for any.
+        radio_range_m: radio range between units, on the ground plane; None for no limit.
     """
 
     def __init__(
@@ -216,7 +216,7 @@ class World:
 
     @property
     def markers(self) -> Markers:
-        """All markers on the ground: those of the robots, then those of the obstacles."""
+        """All markers on the ground: first those of the robots, then those of the obstacles."""
         obstacles = self._obstacles
         return Markers(
             np.concatenate([self.ids, obstacles.ids]),
@@ -225,13 +225,14 @@ class World:
         )
 
     def camera_pose(self, unit: int) -> CameraPose:
-        """Pose of one unit's camera now."""
+        """Return the present pose of one unit's camera."""
         return self.fleet.pose(unit)
 
     def motion(self, unit: int) -> Motion:
-        """Velocities of one unit's camera and of all markers, which blur images and skew rolling shutters.
+        """Return the velocities of one unit's camera and of all markers, for motion blur and rolling shutter.
 
-        They are means over the last step, and zero before the first; the sway's are those of the instant.
+        They are means over the last step, and zero before the first step. The rates of the sway are
+        instantaneous.
         """
         old, new = self._fleet_before, self.fleet
         x, y = ((new.positions_m[unit] - old.positions_m[unit]) / self._step_s).tolist()
@@ -249,7 +250,7 @@ class World:
         )
 
     def in_range(self) -> list[list[int]] | None:
-        """By unit, the units that receive its radio, itself among them; None if all receive all."""
+        """Return, for each unit, the units that receive its radio, itself included; None without a limit."""
         if self._radio_range_m is None:
             return None
         places_m = self.fleet.positions_m
@@ -257,18 +258,18 @@ class World:
         return [np.flatnonzero(row).tolist() for row in apart_m <= self._radio_range_m]
 
     def fly(self, command: FlightCommand) -> None:
-        """Give a unit's autopilot the velocity to fly at until the next command."""
+        """Set the velocity command of a unit's autopilot, valid until the next command."""
         self._commands[command.unit_id] = command
 
     def limit(self, command: VelocityCommand) -> VelocityCommand:
-        """A command as the robots accept it: v and ω within their limits."""
+        """Return a command as the robots accept it: v and ω within their limits."""
         return self._drive.limit(command)
 
     def advance(self, command: VelocityCommand, time_s: float, step_s: float) -> None:
         """Move robots and units from `time_s` to `time_s + step_s`.
 
         Args:
-            command: for all robots in order, within the limits.
+            command: command of all robots in order, within the limits.
             time_s: the time now.
             step_s: the time step.
         """
@@ -287,14 +288,14 @@ class World:
         self.fleet = replace(fleet, tilts_rad=self._swayed(self._time_s), zooms=zooms)
 
     def _swayed(self, time_s: float) -> Array:
-        """Tilts (U, 2), rad: the constant ones, and the sway in addition."""
+        """Return the tilts (U, 2), rad: constant tilts plus sway."""
         sways = (unit.sway for unit in self._units)
         return self._tilts_rad + [np.zeros(2) if s is None else s.tilts_rad(time_s) for s in sways]
 
     def _prescribed_zooms(self, time_s: float) -> Array:
-        """Zooms (U,) that the units' parameters prescribe at a time."""
+        """Return the zooms (U,) that the units' parameters prescribe at a time."""
         return np.array([np.interp(time_s, unit.zoom_times_s, unit.zooms) for unit in self._units])
 
     def _limited(self, flown: Array, time_s: float) -> Array:
-        """Zooms (U,): the prescribed ones times the units' own factors (U,) within their ranges."""
+        """Return the zooms (U,): the prescribed ones times the units' own factors (U,), which are clipped."""
         return np.asarray(self._prescribed_zooms(time_s) * np.clip(flown, *self._zoom_limits))

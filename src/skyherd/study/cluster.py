@@ -1,10 +1,10 @@
-"""Execution of runs in many processes by Dask: local ones, or those of an existing cluster.
+"""Parallel execution of runs by Dask, in local processes or on an existing cluster.
 
-A worker executes one run at a time on one thread, without any file (`skyherd.study.measure`), and returns its
-outcome. Local workers listen only on this machine and have no dashboard. A process that can connect to a
-worker can execute any code there, and all users of a machine can connect to its ports. Local workers and
-their scheduler therefore use mutual TLS, with a temporary certificate that stays in memory. Local workers and
-their temporary files end with this process, even if it is killed.
+A thread of a worker executes one run at a time, without files (`skyherd.study.measure`), and returns its
+outcome. Local workers listen on loopback only, and have no dashboard. Any client of a worker can execute code
+there, and every user of a machine has access to its ports. Local workers and their scheduler therefore use
+mutual TLS, with a temporary certificate that stays in memory. Local workers and their temporary files end
+with this process, even if it is killed.
 """
 
 import logging
@@ -30,35 +30,35 @@ from skyherd.study.measure import Outcome, failure, measure
 from skyherd.version import __version__
 
 PROTOCOLS = ("tcp://", "tls://")
-"""Protocols of a scheduler's address."""
+"""Prefixes of scheduler addresses."""
 
 WINDOW = 4
-"""Submitted runs per thread of the cluster. Chosen: with 1 a thread is idle between two runs; larger values
-create missions long before they are needed."""
+"""Submitted runs per thread of the cluster. Chosen: with 1, threads wait between two runs. Larger values make
+missions earlier than needed."""
 
 TIMEOUT_S = 5.0
-"""Timeout of a scheduler's answer, and of its first worker, s."""
+"""Timeout of a scheduler's answer, and again of its first worker, s. Chosen."""
 
 WORKER_DEATHS = 2
-"""Number of deaths of its workers above which a run counts as failed."""
+"""Largest number of workers that may die during one run; with one more, the run counts as failed. Chosen."""
 
 LOST = "lost"
-"""Status of a run whose outcome was lost with its worker. Defined by Dask."""
+"""Status of a run whose outcome was lost with its worker. The scheduler repeats it. Defined by Dask."""
 
 GONE = "the scheduler stopped; the same command continues from here"
 """Message of the error when the cluster stops answering."""
 
 LOGGERS = ("distributed", "distributed.client", "distributed.utils", "tornado", "asyncio")
-"""Silenced loggers. An error of the cluster is reported once, as an exception of skyherd."""
+"""Silenced loggers: an exception of skyherd reports each error of the cluster once."""
 
 WORKER_START = "skyherd.study.worker_start"
-"""Module that Dask imports in each local worker before its first run."""
+"""Module that Dask loads in each local worker before its first run."""
 
 _SETTINGS = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
     "distributed.scheduler.allowed-failures": WORKER_DEATHS,
-    "distributed.scheduler.worker-saturation": 1.0,  # a waiting run would count as a reason of a death
+    "distributed.scheduler.worker-saturation": 1.0,  # Waiting runs would be blamed for a worker's death.
     "distributed.admin.large-graph-warning-threshold": "1GB",
     "distributed.nanny.pre-spawn-environ.OPENBLAS_NUM_THREADS": 1,
     "distributed.nanny.pre-spawn-environ.OMP_NUM_THREADS": 1,
@@ -72,11 +72,11 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
 
     Args:
         scheduler: address of a scheduler, such as `tcp://192.168.1.2:8786`; local processes if None.
-        jobs: number of local processes of one thread; one per core if None.
+        jobs: number of local processes with one thread each; one per core if None.
 
     Raises:
-        InputError: no scheduler answers, it has no workers, or a worker has another version of skyherd.
-        OutputError: local processes could not be started.
+        InputError: the scheduler does not answer, has no workers, or a worker has another version of skyherd.
+        OutputError: the local processes or their temporary folder cannot be made.
     """
     for name in LOGGERS:
         logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -100,15 +100,14 @@ def open_client(scheduler: str | None = None, jobs: int | None = None) -> Iterat
 def run_missions(
     client: Client, missions: Iterable[tuple[str, Mission]], curves: Sequence[str]
 ) -> Iterator[list[Outcome]]:
-    """Run missions, and yield their outcomes in batches in order of completion.
+    """Run missions on a cluster, and yield batches of outcomes in order of completion.
 
-    A mission is taken from the iterable only when a worker will soon be free. The iterable may therefore be
-    very long.
+    The iterable may be very long: a mission is taken only shortly before a thread is free for it.
 
     Args:
         client: client of the cluster.
         missions: key and mission of each run.
-        curves: fields of the history that are kept as arrays over time.
+        curves: fields of the history to keep as arrays over time.
 
     Raises:
         OutputError: the scheduler stopped.
@@ -123,7 +122,7 @@ def run_missions(
         outcomes = []
         for future in done.next_batch():
             if future.status == LOST and client.status == "running":
-                done.add(future)  # Its worker died before the outcome was fetched; Dask repeats the run.
+                done.add(future)  # The worker died before its outcome was fetched.
             else:
                 outcomes.append(_outcome(future))
         if outcomes:
@@ -131,11 +130,7 @@ def run_missions(
 
 
 def _threads(client: Client) -> int:
-    """Return the number of threads of the cluster, at least 1.
-
-    Raises:
-        OutputError: the scheduler stopped.
-    """
+    """Return the cluster's current number of threads, at least 1. Raise OutputError without a scheduler."""
     try:
         threads: int = sum(client.nthreads().values())
     except OSError:
@@ -158,16 +153,16 @@ def _outcome(future: Any) -> Outcome:
 
 @contextmanager
 def _interrupts_delayed() -> Iterator[None]:
-    """Delay an interrupt (Ctrl-C) until the workers have started, since they cannot be closed before.
+    """Delay SIGINT and SIGTERM until workers have started, since half-started ones cannot be closed.
 
-    All workers inherit the signal mask of this thread, so that only this process reacts to an interrupt.
-    SIGTERM is delayed but not masked, since it ends workers.
+    Workers inherit the signal mask of this thread, also those that start later. Only this process reacts to
+    SIGINT (Ctrl-C). SIGTERM is delayed but not masked, since it ends workers.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     delayed: list[int] = []
-    resource_tracker.ensure_running()  # If it starts later, it removes the mask.
+    resource_tracker.ensure_running()  # Started later, it would reset the mask.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     handlers = {
         number: signal.signal(number, lambda number, frame: delayed.append(number))
@@ -184,11 +179,14 @@ def _interrupts_delayed() -> Iterator[None]:
 
 
 def _local_cluster(jobs: int, folder: Path) -> LocalCluster:
-    """Start workers of one thread that listen only on this machine, by TLS, without a dashboard.
+    """Start workers with one thread each, on loopback by TLS, without a dashboard.
 
     Args:
         jobs: number of workers.
         folder: folder of their temporary files.
+
+    Raises:
+        OutputError: the workers cannot be started.
     """
     try:
         return LocalCluster(
@@ -225,7 +223,7 @@ def _connect(address: str) -> Iterator[Client]:
         raise InputError(f"--scheduler {address}", f"TLS fails: {error.reason}", allowed) from None
     except OSError:
         raise InputError(f"--scheduler {address}", "no scheduler answers there", allowed) from None
-    except TypeError:  # a TLS address without certificates
+    except TypeError:  # A TLS address without certificates.
         raise InputError(f"--scheduler {address}", "no certificates for TLS", allowed) from None
     except (ValueError, RuntimeError):
         raise InputError(f"--scheduler {address}", "not an address", allowed) from None
@@ -242,7 +240,7 @@ def _connect(address: str) -> Iterator[Client]:
 
 
 def _version() -> str:
-    """Return the version of skyherd in the process that calls it, a worker."""
+    """Return the version of skyherd in the process of the call, such as a worker."""
     return __version__
 
 

@@ -73,7 +73,7 @@ class Parts(Model):
 
     @property
     def keys(self) -> list[str]:
-        """All replaced keys of the scenario, in the order given."""
+        """Return all replaced keys of the scenario, in the order given."""
         return [*self.set, *self.grid, *(self.random.draw if self.random else ())]
 
     @model_validator(mode="after")

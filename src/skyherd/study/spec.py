@@ -195,7 +195,7 @@ class StudySpec(Parts):
 
     @property
     def parameters(self) -> list[str]:
-        """All keys that may differ between runs, in the order given."""
+        """Return all keys that may differ between runs, in the order given."""
         own = [key for part in self.sweeps for key in part.keys]
         own += [key for task in self.tasks for key in task.set]
         drawn = self.random.draw if self.random else {}

@@ -1,4 +1,4 @@
-"""Robots followed through overhead recordings: tracks on the ground in marker sides, and the shape they form.
+"""Tracks of robots in overhead recordings, on the ground in marker sides, and the shape that they form.
 
 Start with `track_videos`.
 """

@@ -1,4 +1,4 @@
-"""The figure of `skyherd track`: the tracks of each recording, and the shape error over time."""
+"""Figure of `skyherd track`: the tracks of each recording, and the shape error over time."""
 
 from collections.abc import Sequence
 
@@ -24,23 +24,23 @@ SIDE_IN, ERROR_IN = 3.4, 2.2
 """Side of a panel of tracks, and height of the panel of errors, inches."""
 
 COLUMNS = 2
-"""Panels of tracks in a row at most. *Chosen*: they fill a page's width."""
+"""Maximum number of track panels in a row. Chosen: they fill a page's width."""
 
 MAX_LABELS = 24
-"""Markers that are numbered at their last places at most; the colour bar names those of more."""
+"""Maximum number of markers with a label at their last position; above it, a colour bar shows the ids."""
 
 NAME_LENGTH = 40
-"""Characters of a recording's name over its panel at most."""
+"""Maximum number of characters of a recording's name over its panel."""
 
 GAP_S = 1.0
-"""A track is not drawn over a time without the marker that is longer, s. *Chosen*: nobody knows the way."""
+"""Maximum gap of detections that a track bridges, s. Chosen: the path in a longer gap is unknown."""
 
 
 def draw_tracks(recordings: Sequence[GroundTracks], errors: Sequence[ShapeErrors]) -> Figure:
-    """Draw the tracks of recordings, a panel each, and below them the shape errors, if there are any.
+    """Draw the tracks of recordings, one panel each, and below them the shape errors, if any.
 
-    A track begins at a small square and ends at a circle with the marker's number. Errors of images that show
-    the whole team are a line; those of fewer robots are pale dots.
+    A track begins at a small square and ends at a circle with the marker's number. Errors of images with the
+    whole team form a line; errors of fewer robots are pale dots.
     """
     shown = [tracks for tracks in recordings if tracks.ids.size] or list(recordings[:1])
     columns = min(len(shown), COLUMNS)

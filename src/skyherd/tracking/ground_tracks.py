@@ -1,8 +1,8 @@
-"""Where the robots of one recording were on the ground, image by image, and how far they were from a shape.
+"""Ground positions of the robots in each image of one recording, and their distance from a shape.
 
-A marker's side is the unit of length, since its true size need not be known. The ground is known up to a
-similarity, which is fixed by the image: x along +u, y against +v, and the image's centre as the origin. A
-camera that moves therefore moves all tracks; the shape error is not affected.
+The marker side is the unit of length, because its true size may be unknown. The ground is known up to a
+similarity, which the image fixes: x along +u, y against +v, and the image's centre as the origin. A moving
+camera therefore moves all tracks. It does not affect the shape error.
 """
 
 from collections.abc import Iterator
@@ -18,14 +18,14 @@ from skyherd.messages import Detections
 
 @dataclass(frozen=True)
 class Sighting:
-    """One image: the markers as detected, and where they were on the ground.
+    """Markers in one image, as detected and on the ground.
 
     Attributes:
-        index: of the image, from 0.
-        time_s: of the image.
-        seen: the markers as they were detected.
+        index: number of the image, from 0.
+        time_s: time of the image.
+        seen: the detections.
         positions_sides: (N, 2) x and y on the ground, in marker sides.
-        headings_rad: (N,) counter-clockwise from +x.
+        headings_rad: (N,) headings, counter-clockwise from +x.
     """
 
     index: int
@@ -37,13 +37,13 @@ class Sighting:
 
 @dataclass
 class GroundTracks:
-    """The tracks of one recording.
+    """Tracks of one recording.
 
     Attributes:
-        name: of the recording.
-        members: the robots; other markers help to rectify the ground, and are left out. None for all.
+        name: name of the recording.
+        members: the robots; None for all markers. Other markers only help to rectify the ground.
         sightings: one for each image, in order.
-        strangers: markers that were seen and are none of the members.
+        strangers: detected markers that are not members.
     """
 
     name: str
@@ -53,7 +53,7 @@ class GroundTracks:
     _rectifier: Rectifier = field(default_factory=Rectifier)
 
     def add(self, index: int, found: Detections) -> None:
-        """Add the markers found in the next image; ids that occur twice in it are left out."""
+        """Add the markers of the next image, without ids that occur twice in it."""
         seen = found.unambiguous()
         flat = self._rectifier.rectify(seen)
         if self.members is not None:
@@ -64,12 +64,12 @@ class GroundTracks:
 
     @property
     def ids(self) -> IntArray:
-        """All markers that were ever seen, ascending."""
+        """All detected markers, ascending."""
         ids = [sighting.seen.ids for sighting in self.sightings]
         return np.unique(np.concatenate(ids)) if ids else np.zeros(0, dtype=np.int64)
 
     def path(self, marker: int) -> tuple[Array, Array]:
-        """Times (T,) of all images, and the marker's positions (T, 2), NaN where it was not seen."""
+        """Return the times (T,) of all images, and a marker's positions (T, 2), NaN without a detection."""
         times_s = np.array([sighting.time_s for sighting in self.sightings])
         positions = np.full((times_s.size, 2), np.nan)
         for row, sighting in enumerate(self.sightings):
@@ -84,13 +84,13 @@ def _where(sighting: Sighting, marker: int) -> Array:
 
 @dataclass(frozen=True)
 class ShapeErrors:
-    """How far the robots of a recording were from a shape.
+    """Distances of the robots of a recording from a shape.
 
     Attributes:
-        times_s: (T,) of the images.
+        times_s: (T,) times of the images.
         errors: (T,) RMS distance to the best-fitting similarity of the shape over the RMS radius of the
-            robots seen; NaN where fewer than three were.
-        counts: (T,) robots of the shape that the image shows.
+            detected robots; NaN for fewer than three.
+        counts: (T,) number of robots of the shape in each image.
         team: number of robots of the shape.
     """
 
@@ -101,7 +101,7 @@ class ShapeErrors:
 
 
 def shape_errors(tracks: GroundTracks, template: Template) -> ShapeErrors:
-    """The shape error of each image, of those robots of the template that it shows."""
+    """Compute the shape error of each image, from the robots of the template in it."""
     rows = list(_errors(tracks, template))
     times, errors, counts = zip(*rows, strict=True) if rows else ((), (), ())
     return ShapeErrors(np.array(times), np.array(errors), np.array(counts, dtype=np.int64), template.ids.size)

@@ -1,4 +1,4 @@
-"""The shape that tracks are held against: a scenario's, or a named one for the markers that were seen."""
+"""Reference shapes of tracks: the shape of a scenario, or a named one for the detected markers."""
 
 from typing import Protocol
 
@@ -9,18 +9,18 @@ from skyherd.geometry import IntArray
 
 
 class ShapeSource(Protocol):
-    """Gives the template for the markers that a recording shows."""
+    """Source of the template for the markers of a recording."""
 
     def __call__(self, ids: IntArray) -> Template:
-        """The template, given the markers (N,), ascending."""
+        """Return the template for the markers (N,), ascending."""
         ...
 
 
 def named_shape(name: str) -> ShapeSource:
-    """A named shape, such as `circle` or `word:SKY`, whose points go to the markers in ascending order.
+    """Return a named shape, such as `circle` or `word:SKY`; the markers take its points in ascending order.
 
     Raises:
-        InputError: there is no such shape.
+        InputError: no shape has that name.
     """
     if name not in SHAPES and not name.startswith("word:"):
         raise InputError("--shape", f"no shape {name!r}", f"one of {', '.join(SHAPES)}, word:SKY")
@@ -28,10 +28,10 @@ def named_shape(name: str) -> ShapeSource:
 
 
 def scenario_shape(name: str) -> ShapeSource:
-    """The first shape of a built-in scenario or of a scenario file, for the robots that it has.
+    """Return the first shape of a built-in scenario or a scenario file, for its own robots.
 
     Raises:
-        InputError: there is no such scenario, or it is not right.
+        InputError: the scenario does not exist, or is invalid.
     """
     template = load_mission(name).template
     return lambda ids: template

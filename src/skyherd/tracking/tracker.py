@@ -1,4 +1,4 @@
-"""Videos in; a table of tracks, a table of shape errors and a figure out."""
+"""Tracking of videos: a table of tracks, a table of shape errors, and a figure."""
 
 import csv
 from collections.abc import Collection, Iterator, Sequence
@@ -20,7 +20,7 @@ from skyherd.tracking.shapes import ShapeSource
 from skyherd.vision import DEFAULT_DICTIONARY, Detector, create_detector
 
 VERB = "track"
-"""Verb by which a folder's record knows what was made here."""
+"""Verb in the record of output folders for the files made here."""
 
 TRACKS = "tracks.csv"
 """Name of the table of tracks."""
@@ -35,11 +35,11 @@ TRACK_COLUMNS = (
     *("file", "frame", "time_s", "id", "x_sides", "y_sides", "heading_deg"),
     *("u_px", "v_px", "side_px", "std_u_px", "std_v_px"),
 )
-"""Columns of the tracks: on the ground, and as detected in the image; standard deviations are empty where
-the detector does not know them."""
+"""Columns of the tracks: on the ground, and as detected in the image. Standard deviations are empty if the
+detector does not provide them."""
 
 SHAPE_COLUMNS = ("file", "frame", "time_s", "robots", "shape_error")
-"""Columns of the shape errors: robots of the shape that the image shows, and nothing for fewer than three."""
+"""Columns of the shape errors: robots of the shape in the image, and error, empty for fewer than three."""
 
 
 def track_videos(
@@ -55,26 +55,26 @@ def track_videos(
     force: bool = False,
     progress: Progress = NO_PROGRESS,
 ) -> list[GroundTracks]:
-    """Follow the markers through videos, each for itself, and leave tables and a figure in a folder.
+    """Track the markers in videos, each independently, and write tables and a figure into a folder.
 
     Args:
         videos: the recordings.
-        folder: to write into.
-        shape: to compare with, for the markers that all videos together show; None for none.
-        members: the robots, where other markers may be seen as well; None for all markers.
-        detector: name or `module:factory`; each video gets a new one.
-        dictionary: of the markers.
+        folder: the output folder.
+        shape: the shape for comparison, for the markers of all videos together; None for none.
+        members: the robots, if other markers are in view as well; None for all markers.
+        detector: name or `module:factory`; each video gets a new detector.
+        dictionary: dictionary of the markers.
         border_bits: width of the markers' black border in cells.
-        inverted: whether markers are white on black.
-        force: the folder may exist; what was made there before is then removed, and nothing else.
-        progress: is given how many images of each video are done.
+        inverted: True for white markers on black.
+        force: True to allow an existing folder. Only files of an earlier tracking are removed from it.
+        progress: receives the number of processed images of each video.
 
     Returns:
-        the tracks of each video.
+        The tracks of each video.
 
     Raises:
-        InputError: a video cannot be read, the folder exists, or the shape is none for these robots.
-        OutputError: something cannot be written.
+        InputError: a video cannot be read, the folder exists, or the shape does not fit these robots.
+        OutputError: a file cannot be written.
     """
     for video in videos:
         if not is_video(video):
@@ -102,7 +102,7 @@ def track_videos(
 
 
 def _follow(tracks: GroundTracks, video: Path, detector: Detector, progress: Progress) -> GroundTracks:
-    """The tracks, with all images of a video added."""
+    """Add all images of a video to tracks, and return the tracks."""
     clip = open_clip(video)
     for frame in read_clip(clip):
         tracks.add(frame.index, detector.detect(frame.image, time_s=frame.time_s))
@@ -112,7 +112,7 @@ def _follow(tracks: GroundTracks, video: Path, detector: Detector, progress: Pro
 
 
 def _errors(recordings: Sequence[GroundTracks], shape: ShapeSource | None) -> list[ShapeErrors]:
-    """The shape errors of each recording; none without a shape, or without any robot."""
+    """Return the shape errors of each recording; none without a shape, or without robots."""
     ids = np.unique(np.concatenate([tracks.ids for tracks in recordings]))
     if shape is None or ids.size == 0:
         return []
@@ -122,7 +122,7 @@ def _errors(recordings: Sequence[GroundTracks], shape: ShapeSource | None) -> li
 
 @contextmanager
 def _table(path: Path, columns: Sequence[str]) -> Iterator[Any]:
-    """A writer of a CSV file, which gets its name when it is complete."""
+    """Open a writer of a CSV file, which gets its name when it is complete."""
     with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(columns)
@@ -136,7 +136,7 @@ def _track_rows(tracks: GroundTracks) -> Iterator[list[Any]]:
 
 
 def _cells(sighting: Sighting, row: int) -> list[Any]:
-    """One marker of one image: id, place and heading on the ground, and what was detected."""
+    """Return the cells of one marker in one image: id, position and heading on the ground, and detection."""
     seen = sighting.seen
     covariance = seen.covariances[row]
     stds = np.sqrt(np.diag(covariance)[:2]) if covariance.any() else ()

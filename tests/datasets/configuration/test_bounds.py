@@ -1,7 +1,7 @@
-"""Every number of a scenario, a study and a data set spec has bounds, and what lies outside is refused.
+"""Every number of a scenario, a study and a data set spec has bounds, and values outside are refused.
 
-The walk goes over the JSON schema of every model, so that a key that is added without bounds fails here. Keys
-whose values replace keys of a scenario have any type; they are checked as the scenario's own.
+The test walks the JSON schema of every model, so that it fails for a new key without bounds. Keys whose
+values replace keys of a scenario have any type; the scenario checks them.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ def all_models(model=Model):
 
 
 def numbers(schema, at=()):
-    """Every schema of a number within a schema, and the way to it."""
+    """Yield every schema of a number within a schema, and the path to it."""
     if isinstance(schema, dict):
         if schema.get("type") in ("number", "integer"):
             yield at, schema
@@ -56,7 +56,7 @@ def test_every_number_has_a_lower_and_an_upper_bound(model):
 
 
 def test_all_models_are_walked():
-    """Scenarios, studies and specs with all their parts; and which values have any type."""
+    """Scenarios, studies and specs with all their parts, and the keys whose values have any type."""
     names = {model.__name__ for model in all_models()}
     assert {
         "Scenario",
@@ -125,7 +125,7 @@ def test_a_spec_with_numbers_beyond_their_bounds_is_refused():
 
 
 def extremes(mission):
-    """Settings that put each number of a scenario to its bounds, one at a time."""
+    """Yield path, minimum and maximum of each number of a scenario."""
     schema = type(mission.scenario).model_json_schema()
     for at, number in numbers(schema):
         low = number.get("minimum", number.get("exclusiveMinimum"))
@@ -152,13 +152,13 @@ SECTIONS = {
     "CameraModel": "units.0.camera",
     "DistortionModel": "units.0.camera.distortion",
 }
-"""Where the parts of a scenario stand in it."""
+"""Keys of a scenario's parts, by model."""
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_at_every_bound_a_mission_is_refused_or_runs():
-    """The least and the greatest value of each key, alone; with the bound itself, and one step beyond it."""
+    """The minimum and the maximum of each key are tried one at a time."""
     ran = 0
     for at, low, high in extremes(load_mission("star")):
         if at[0] != "$defs" or at[1] not in SECTIONS or len(at) > 6:

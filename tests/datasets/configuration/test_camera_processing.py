@@ -1,4 +1,4 @@
-"""Lens blur and processing as keys of scenario files: off as they come, bounded, and in two scenarios."""
+"""Lens blur and processing as keys of scenario files: off by default, bounded, and used in two scenarios."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def test_everything_is_off_unless_a_scenario_says_otherwise():
 
 
 @pytest.mark.parametrize("name", CONSUMER)
-def test_a_consumer_scenario_is_the_plain_one_but_for_its_cameras(name):
+def test_consumer_scenario_differs_only_in_its_cameras(name):
     plain, consumer = (load_mission(each).scenario for each in (name, f"{name}-consumer"))
     told = {"name", "description", "sensor"}
     assert consumer.model_dump(exclude=told) == plain.model_dump(exclude=told)
@@ -76,7 +76,7 @@ def test_what_no_camera_has_is_refused_in_one_line(wrong):
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "duration_s"), [("star", 24.0), ("handheld", 16.0)])
 def test_the_star_forms_through_consumer_cameras(name, duration_s):
-    """Four times as fast as they come; the project asks for a shape error below 0.2 %."""
+    """Four times as fast as the scenario; the project requires a shape error below 0.2 %."""
     fast = ["control.k=0.6", "control.k_omega=2.4", f"duration_s={duration_s}"]
     steps = list(run_steps(load_mission(f"{name}-consumer", fast)))
     assert max(step.metrics.shape.error for step in steps[-10:]) < 2e-3

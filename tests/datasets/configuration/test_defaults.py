@@ -1,4 +1,4 @@
-"""Library and scenario files have the same defaults: a key left out is what the class gives."""
+"""Library classes and scenario files have the same defaults."""
 
 from dataclasses import MISSING, fields
 
@@ -33,7 +33,7 @@ PAIRS = [
 
 @pytest.mark.parametrize(("made", "model", "names"), PAIRS, ids=lambda x: getattr(x, "__name__", ""))
 def test_a_key_left_out_is_the_default_of_the_class(made, model, names) -> None:
-    """All fields of a class that the model has a key for, under the same name or as `names` says."""
+    """The test covers all fields with a key of the model, under the same name or according to `names`."""
     compared = 0
     for field in fields(made):
         key = model.model_fields.get(names.get(field.name, field.name))

@@ -1,4 +1,4 @@
-"""Files of a wrong kind are recognized, and the verb that takes them is named."""
+"""Recognition of files of a wrong kind; the error names the verb that accepts them."""
 
 import tomllib
 

@@ -1,4 +1,4 @@
-"""Scenario files: what is right is read, what is wrong is said in one line."""
+"""Scenario files: valid ones are read, and each error has one line."""
 
 import tomllib
 
@@ -26,7 +26,7 @@ height_m = 10
 camera = { half_angle_deg = 30 }
 """
 
-# What is put in place of what, and what the one line must say: key, value or what is allowed.
+# Replaced text, its replacement, and the words required in the one line: key, value or allowed values.
 BAD = {
     "malformed": ("duration_s = 10.0", "duration_s = = 10", ["malformed TOML"]),
     "unknown_key": ("side_m = 0.4", "side_m = 0.4\nsize = 3", ["marker.size", "unknown key"]),
@@ -127,7 +127,7 @@ BAD = {
 
 @pytest.mark.smoke
 @pytest.mark.parametrize("name", scenario_names())
-def test_built_in_scenarios_are_good_and_start_far_from_their_goal(name):
+def test_built_in_scenarios_are_valid_and_start_far_from_goal(name):
     mission = load_mission(name)
     assert mission.template.ids.tolist() == mission.ids.tolist() == list(range(mission.ids.size))
 
@@ -201,7 +201,7 @@ def test_scatter_is_seeded_and_keeps_its_spacing():
 
 
 def test_template_image_gives_the_shape_that_its_markers_form(tmp_path):
-    # Markers laid with their centres where we say, in image sense (v down).
+    # Markers centred at given points, in image sense (v down).
     places = {0: (100, 100), 1: (400, 120), 2: (180, 330)}
     image = np.full((450, 520), 255, np.uint8)
     for robot, (u, v) in places.items():

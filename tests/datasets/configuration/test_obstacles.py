@@ -1,4 +1,4 @@
-"""Obstacles with markers, and the room that bodies take: from the scenario file to detections."""
+"""Obstacles with markers, and the room for bodies: from the scenario file to detections."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ OBSTACLES = [
 
 @pytest.fixture
 def mission_of(scenario_tree) -> Any:
-    """The triangle with two obstacles, in the perception asked for."""
+    """Return the triangle with two obstacles, in a given perception."""
 
     def make(perception: str = "ideal", obstacles: Any = None, **keys: Any) -> Mission:
         tree = scenario_tree("triangle")
@@ -35,7 +35,7 @@ def mission_of(scenario_tree) -> Any:
 
 
 def test_room_is_distance_less_radii() -> None:
-    """Against every pair by itself: N (N - 1) / 2 of robots, N K of a robot and an obstacle."""
+    """The reference computes every pair: N (N - 1) / 2 of robots, N K of a robot and an obstacle."""
     rng = np.random.default_rng(1)
     places, obstacles, radii = rng.uniform(-3, 3, (7, 2)), rng.uniform(-3, 3, (3, 2)), rng.uniform(0, 1, 3)
     bodies = Bodies(0.4, obstacles, radii)
@@ -132,7 +132,7 @@ def test_a_scattered_start_leaves_room_to_every_body(scenario_tree) -> None:
 
 @pytest.mark.parametrize("perception", ["ideal", "noisy", "rendered"])
 def test_obstacles_are_seen_like_robots_and_are_not_false(mission_of, perception: str) -> None:
-    """Detected within half a pixel of their projection: tens of the detector's standard deviations."""
+    """Detections are within half a pixel of the projection: tens of the detector's standard deviations."""
     mission = mission_of(perception)
     world = make_world(mission)
     sight = make_perception(mission, np.random.default_rng(1)).look(world, [0], 0.0)[0]
@@ -145,7 +145,7 @@ def test_obstacles_are_seen_like_robots_and_are_not_false(mission_of, perception
 
 
 def test_what_is_no_marker_of_the_scene_stays_false(mission_of) -> None:
-    """An obstacle's marker found where it is not, and a marker that nobody has."""
+    """An obstacle's marker detected at a wrong position, and a marker that does not exist."""
     mission = mission_of("rendered")
     world, perception = make_world(mission), RenderedPerception(mission, np.random.default_rng(1))
     true = perception.look(world, [0], 0.0)[0].detections

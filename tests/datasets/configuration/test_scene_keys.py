@@ -1,4 +1,4 @@
-"""Keys of a scenario's images: each changes what is seen, and truth goes along."""
+"""Scenario keys of images: each changes the image, and ground truth follows."""
 
 import cv2
 import numpy as np
@@ -58,9 +58,9 @@ def test_defaults_change_nothing(plain):
 
 
 def test_a_run_with_everything_on(tmp_path):
-    """Truth follows the lens and the shutter: what is detected is where it says, half a side at most away.
+    """Ground truth follows lens and shutter: detections are within half a side of it.
 
-    Occluded robots do not count as wholly in view.
+    Covered robots do not count as wholly in view.
     """
     picture = np.random.default_rng(2).integers(90, 160, (60, 90), dtype=np.uint8)
     cv2.imwrite(str(tmp_path / "floor.png"), picture)

@@ -1,4 +1,4 @@
-"""TOML files that would take the parser's stack or its time are refused before they are parsed."""
+"""TOML files that would overload the parser's stack or time are refused before parsing."""
 
 import time
 
@@ -32,7 +32,7 @@ ENDLESS = {
 
 @pytest.mark.parametrize("text", ENDLESS.values(), ids=ENDLESS)
 def test_it_is_refused_in_one_short_line_and_at_once(tmp_path, text):
-    """Line 8. A tenth of a second of processor time is needed; 5 s is what is asked for."""
+    """The refusal takes a tenth of a second of processor time; the limit is 5 s."""
     path = tmp_path / "a.toml"
     path.write_text(text)
     began_s = time.process_time()

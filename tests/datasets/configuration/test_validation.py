@@ -1,4 +1,4 @@
-"""Problems of configuration files: every key, all at once, unknown ones first, in words of our own."""
+"""Errors of configuration files: every key, all at once, unknown ones first, in skyherd's own wording."""
 
 import pickle
 import tomllib
@@ -21,7 +21,7 @@ MODELS = {
     StudySpec: study_text("noise"),
     DatasetSpec: spec_text("varied"),
 }
-"""The kinds of files, each with a good example."""
+"""Kinds of files, each with a valid example."""
 
 PYDANTIC = (
     "input should be",
@@ -43,7 +43,7 @@ FREE = {"set", "grid", "quick", "draw", "choice"}
 
 
 def leaves(model, node=None, path=(), level=0):
-    """Key by key, the way to each value of a model that is no table, and its schema."""
+    """Yield the path to each value of a model that is not a table, with its schema."""
     top = model.model_json_schema()
     yield from _leaves(top if node is None else node, top, path, level)
 
@@ -65,14 +65,14 @@ def _leaves(node, top, path, level):
 
 
 def wrong_values(schema):
-    """Values of a wrong type for a leaf, and numbers out of any range."""
+    """Yield values of a wrong type for a leaf, and numbers out of any range."""
     yield from ([[]], {"a": {}}, 1e300, -1e300)
     if schema.get("type") != "string" or "enum" in schema:
         yield "wrong"
 
 
 def put(tree, path, value):
-    """Put a value into a tree, which gets the tables and the items on the way."""
+    """Put a value into a tree, and create the tables and items on its path."""
     for part, following in pairwise(path):
         if isinstance(part, int):
             tree.extend([{}] * (part + 1 - len(tree)))
@@ -108,7 +108,7 @@ def test_wrong_value_of_each_key_is_told_in_own_words(model, text, path, schema)
 
 
 def test_keys_of_all_kinds_of_files_are_walked():
-    """A negative control of the test above: deep keys are among those that it tries."""
+    """Negative control of the test above: it tries deep keys."""
     walked = {model: {path for path, _ in leaves(model)} for model in MODELS}
     assert ("units", 0, "camera", "distortion", "k1") in walked[Scenario]
     assert ("cameras", 0, "flight", "speed_mps") in walked[LabModel]
@@ -206,7 +206,7 @@ def test_renamed_key_gets_its_new_name(old, new):
     assert renamed(old) == new
 
 
-def test_every_beginning_of_old_keys_is_refused_with_the_new_name():
+def test_prefixes_of_renamed_keys_are_refused_with_new_name():
     for old, new in RENAMED_BEGINNINGS.items():
         setting = f"autopilot.{old}height_m=5"
         with pytest.raises(InputError) as caught:

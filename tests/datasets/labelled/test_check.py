@@ -1,4 +1,4 @@
-"""`skyherd dataset`: its check finds each kind of damage, and what a user gets wrong is one line."""
+"""`skyherd dataset`: its check finds each kind of damage, and each user error has one line."""
 
 import csv
 import json
@@ -25,7 +25,7 @@ def good(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory):
-    """The first images of the good set: damage to one is found as well among four as among ten."""
+    """Make the first images of the valid set: four are enough to find any damage."""
     folder = tmp_path_factory.mktemp("sets") / "few"
     return make_dataset(spec_of(images=4), folder).path
 
@@ -129,7 +129,7 @@ def _deep_coco(folder):
 
 
 def _moved_truth(folder):
-    """In the table alone: layouts and seed both tell."""
+    """Move a marker in the table alone; both formats and seed differ from it."""
     file = folder / "truth.csv"
     lines = file.read_text().splitlines()
     words = lines[1].split(",")
@@ -149,7 +149,7 @@ def _no_number(folder):
 
 
 def _painted_over(folder):
-    """A marker's middle, by a grey square of 20 px: too little for the mean of the image to tell."""
+    """Paint a grey square of 20 px over a marker: too small to change the image's mean noticeably."""
     with (folder / "truth.csv").open() as stream:
         rows = [row for row in csv.DictReader(stream) if row["image"] == IMAGE]
     row = min(rows, key=lambda row: (-float(row["visible_fraction"]), float(row["side_px"])))
@@ -230,7 +230,7 @@ DAMAGES = {
 @pytest.mark.parametrize("damage", DAMAGES, ids=lambda damage: damage.__name__.strip("_"))
 def test_each_damage_is_found(copy, damage, capsys):
     damage(copy)
-    sample = 4 if damage is _short_truth else 1  # it is the last image that has lost a line
+    sample = 4 if damage is _short_truth else 1  # the last image has lost a line
     code, _, said = call(capsys, "dataset", "check", copy, "--sample", sample)
     assert code == 1
     file, words = DAMAGES[damage]
@@ -239,8 +239,8 @@ def test_each_damage_is_found(copy, damage, capsys):
     assert all(line.startswith("error: ") for line in lines)
 
 
-def test_labels_that_agree_with_each_other_but_not_with_the_pixels_are_found(few, tmp_path):
-    """Labels, spec and all of another seed: only the pixels tell."""
+def test_check_finds_consistent_labels_that_differ_from_pixels(few, tmp_path):
+    """Labels and spec are those of another seed: only the pixels differ."""
     other = make_dataset(spec_of(seed=6, images=4), tmp_path / "other").path
     shutil.rmtree(other / "images")
     shutil.copytree(few / "images", other / "images")

@@ -1,4 +1,4 @@
-"""Labelled image sets: the same whoever makes them, true to the pixels, and read alike by other readers."""
+"""Labelled image sets: reproducible by any process, correct to the pixel, and readable by other tools."""
 
 import json
 from dataclasses import fields, replace
@@ -27,7 +27,7 @@ from skyherd.vision import create_detector
 
 
 def contents(folder):
-    """Bytes of every file, hidden ones as well, by its path."""
+    """Return the bytes of every file by its path, including hidden files."""
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
@@ -43,7 +43,7 @@ def test_same_seed_same_bytes_whatever_the_number_of_workers(made, tmp_path):
 
 
 def test_another_seed_is_another_set(made):
-    """Negative control: the equality of the other tests is not that of constants."""
+    """Negative control: the other tests do not compare constants."""
     first, other = (make_scene(spec_of(seed=seed).spec, 0) for seed in (5, 6))
     assert first.pose != other.pose
     assert not np.array_equal(first.render(Path()), other.render(Path()))
@@ -59,9 +59,9 @@ def test_resumed_equals_uninterrupted(made, tmp_path, jobs):
         make_dataset(spec_of(), tmp_path, jobs=jobs, progress=Interrupt())
     begun = contents(tmp_path)
     pictures = [name for name in begun if name.endswith(".png")]
-    assert 0 < len(pictures) < 10 + jobs  # two processes may have been done by then
+    assert 0 < len(pictures) < 10 + jobs  # two processes may have finished by then
     assert "truth.csv" not in begun
-    # As a killed process leaves it.
+    # State of a killed process.
     (tmp_path / "images/train/.skyherd-0123456789abcdef.part").write_bytes(b"\x89PNG")
     times = {name: (tmp_path / name).stat().st_mtime_ns for name in pictures}
     make_dataset(spec_of(), tmp_path)
@@ -104,10 +104,10 @@ def test_read_back_is_what_was_drawn(made):
 def test_truth_and_bound_agree_with_what_is_detected(images, least, most):
     """Errors over the bound's standard deviations: mean square 1 for a detector at the bound.
 
-    With n errors the mean square of unit normal deviates spreads by sqrt(2/n), 0.1 for 200 and 0.06 for 500;
-    detectors are allowed 1.5 times the bound, so that 2.25 (1 + 3 * 0.1) < 3 is asked, and 2.7 of the larger
-    number. Labels that are half a pixel off, as a wrong convention would make them, give hundreds. Without a
-    lens's distortion, which the detector does not know, and with markers enough to find the tilted plane.
+    With n errors the mean square of unit normal deviates has the standard deviation sqrt(2/n), 0.1 for 200
+    and 0.06 for 500. Detectors may reach 1.5 times the bound. The limit is 2.25 (1 + 3 * 0.1) < 3, and 2.7
+    for the larger number. Labels off by half a pixel, as with a wrong convention, give hundreds. The set has
+    no lens distortion, which the detector does not know, and enough markers to find the tilted plane.
     """
     file = spec_of(
         markers={"count": 12, "side_px": (24, 32)},
@@ -153,7 +153,7 @@ def test_coco_as_pycocotools_reads_it_is_the_truth(made, split):
             low, high = corners.min(axis=0).clip(0), corners.max(axis=0).clip(None, (320, 240))
             if annotation["num_keypoints"] == 5:
                 np.testing.assert_allclose(annotation["bbox"], [*low, *(high - low)], atol=1e-5)
-            # Pixels along the outline count whole or not at all.
+            # Pixels along the outline count as a whole or not at all.
             mask = coco.annToMask(annotation)
             around = 4 * labels.sides_px[k]
             assert abs(int(mask.sum()) - annotation["area"]) < around
@@ -208,7 +208,7 @@ def test_yolo_without_validation_names_training_twice(tmp_path):
 
 
 def test_visibilities_are_what_the_image_shows():
-    """Where a keypoint is covered, well inside the cover, the image has the cover's grey level."""
+    """At a covered keypoint, well inside the occluder, the image has the occluder's grey level."""
     file = spec_of(
         markers=TREE["markers"] | {"cut": 0.5},
         sensor={"noise": 0},
@@ -235,7 +235,7 @@ def test_visibilities_are_what_the_image_shows():
     assert min(counts.values()) > 10
 
 
-def test_markers_never_touch_and_are_whole_where_none_is_to_be_cut():
+def test_markers_do_not_touch_and_are_whole_without_cut():
     file = spec_of(markers={"count": 40, "side_px": 20}, occluders={})
     for index in range(8):
         scene = make_scene(file.spec, index)
@@ -246,7 +246,7 @@ def test_markers_never_touch_and_are_whole_where_none_is_to_be_cut():
 
 
 def test_outline_cut_to_the_image():
-    """A square of side 4 whose quarter is in the image; from the corner, in whole pixels."""
+    """A square of side 4 with a quarter in the image; coordinates from the corner, in whole pixels."""
     square = np.array([[-2.5, -2.5], [1.5, -2.5], [1.5, 1.5], [-2.5, 1.5]])
     outline = visible_outline(square, (10, 10))
     assert bounding_box(outline) == (0, 0, 2, 2)
@@ -260,7 +260,7 @@ def test_ranges_are_filled_and_not_left():
     rng = np.random.default_rng(0)
     values = np.array([draw_number(rng, (2.0, 3.0)) for _ in range(2000)])
     assert 2 <= values.min() < 2.01 and 2.99 < values.max() <= 3
-    # Of three numbers, 2000 / 3 each with a standard deviation of 21.
+    # For each of three numbers 2000 / 3, with a standard deviation of 21.
     counts = np.bincount([draw_integer(rng, (1, 3)) for _ in range(2000)])
     assert counts[0] == 0 and (np.abs(counts[1:] - 2000 / 3) < 100).all()
 
@@ -286,12 +286,12 @@ def test_built_in_specs_draw(name, images, least):
     assert file.spec.description
     sides = [side for index in range(images) for side in make_labels(make_scene(file.spec, index)).sides_px]
     assert len(sides) > least
-    # Tilt makes the nearest markers larger, the farthest smaller than those in the middle.
+    # Tilt makes the nearest markers larger and the farthest smaller than those in the middle.
     assert 0.5 * file.spec.markers.side_px[0] < min(sides) < max(sides) < 2 * file.spec.markers.side_px[1]
 
 
 def test_annotation_ids_are_unique_and_start_at_one(made):
-    """COCO's own evaluation takes an id of 0 as no match."""
+    """COCO's own evaluation treats an id of 0 as no match."""
     for split in ("train", "val"):
         document = json.loads(open_folder(made.path).coco(split).read_text())
         numbers = [annotation["id"] for annotation in document["annotations"]]
@@ -303,7 +303,7 @@ def test_read_dataset_takes_a_name(made):
 
 
 def test_the_bound_is_that_of_the_sensors_gain_and_noise():
-    """Noise, shot noise at mid-grey and the rounding's 1/12, against grey levels times the gain."""
+    """Noise, shot noise at mid-grey and the rounding's 1/12, relative to grey levels times the gain."""
     sensor = {"noise": 3.0, "shot": 0.1, "gain": 2.0}
     scene = make_scene(spec_of(sensor=sensor, ground={"kinds": ["plain"]}).spec, 0)
     expected = pose_covariances(
@@ -334,8 +334,8 @@ CAMERA_KEYS = {
 
 
 @pytest.mark.parametrize("table", CAMERA_KEYS)
-def test_each_key_of_lens_and_processing_changes_the_image_and_not_the_scene(table):
-    """Nothing else is drawn otherwise, noise included: off, not one grey level would differ."""
+def test_lens_and_processing_keys_change_image_but_not_scene(table):
+    """All other draws are the same, including noise; with the key off, no grey level would differ."""
     sensor = TREE["sensor"]
     plain = make_scene(spec_of(sensor=sensor).spec, 1)
     image = plain.render(Path())
@@ -351,7 +351,7 @@ def test_each_key_of_lens_and_processing_changes_the_image_and_not_the_scene(tab
         assert np.abs(scene.render(Path()).astype(int) - image).max() > 3, key
 
 
-def test_lens_and_processing_are_drawn_within_their_ranges_and_the_same_again():
+def test_lens_and_processing_draws_are_in_range_and_repeatable():
     spec = load_spec("consumer").spec
     drawn = [make_scene(spec, index).sensor for index in range(40)]
     gammas = [sensor.processing.gamma for sensor in drawn]
@@ -362,7 +362,7 @@ def test_lens_and_processing_are_drawn_within_their_ranges_and_the_same_again():
 
 
 def test_focus_is_a_share_of_the_distance_to_the_images_middle():
-    """At 1 the middle is sharp, whatever the tilt: the disc's radius there is 0."""
+    """At 1 the middle is sharp for any tilt: the disc's radius there is 0."""
     lens = {"aperture_sides": 0.5, "focus": 1.0}
     scene = make_scene(spec_of(sensor={"lens_blur": lens}, camera={"tilt_deg": 14}).spec, 2)
     middle = (np.array(scene.camera.size_px) - 1) / 2
@@ -372,7 +372,7 @@ def test_focus_is_a_share_of_the_distance_to_the_images_middle():
 
 
 def test_the_bound_knows_the_lens_and_the_filters():
-    """Variances of blur add up; half of the pixels are green, the others' noise is twice as strong."""
+    """Variances of blur add up; half of the pixels are green, and the noise of the others is doubled."""
     sensor = {"noise": 4.0, "lens_blur": {"disc_px": 2.0, "coma_px": 0.6}}
     sensor["processing"] = {"demosaic": "edge-aware", "red_gain": 2.0, "blue_gain": 2.0}
     scene = make_scene(spec_of(sensor=sensor, ground={"kinds": ["plain"]}).spec, 0)

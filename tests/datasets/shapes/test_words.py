@@ -1,4 +1,4 @@
-"""Words as shapes: every robot has room, ends and corners are taken, and too few robots are refused."""
+"""Words as shapes: room for every robot, robots at ends and corners, and refusal of too few robots."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ WORDS = ["SKY", "HERD", "QUIZ", "BOX8", "WAVY", "JUMP", "2026", "FLOCK", "II", "
 
 
 def min_count(text: str) -> int:
-    """The fewest robots that write it, as the refusal of two tells; two may do."""
+    """Return the minimum number of robots that write a text, from the error for two robots."""
     try:
         shape_points(f"word:{text}", 2)
     except InputError as error:
@@ -23,7 +23,7 @@ def min_count(text: str) -> int:
 
 
 def sampled(text: str, step: float = 0.001) -> np.ndarray:
-    """(M, 2) close points along all strokes of a letter."""
+    """Return closely spaced points (M, 2) along all strokes of a letter."""
     points = []
     for curve in STROKES[text]:
         along = np.append(0.0, np.cumsum(np.abs(np.diff(curve))))
@@ -43,7 +43,7 @@ def test_every_letter_is_there_and_fits_its_box() -> None:
 
 
 def test_strokes_have_no_corner_within() -> None:
-    """Arcs turn 3 degrees at each of their corners, in x and y of different radius twice as much at most."""
+    """Arcs turn by 3 degrees at each vertex; ellipses with different radii by at most twice as much."""
     for letter, curves in STROKES.items():
         for curve in curves:
             turns = np.degrees(np.angle(np.diff(curve)[1:] / np.diff(curve)[:-1]))
@@ -51,8 +51,8 @@ def test_strokes_have_no_corner_within() -> None:
 
 
 @pytest.mark.parametrize("letter", sorted(STROKES))
-def test_robots_stand_on_the_strokes_with_room_between_them_for_every_count(letter: str) -> None:
-    """No two nearer than 0.6 of the mean spacing, which is at least `length / (N + strokes)`."""
+def test_robots_stand_on_strokes_with_spacing_for_any_count(letter: str) -> None:
+    """No two are nearer than 0.6 of the mean spacing, which is at least `length / (N + strokes)`."""
     length = sum(Stroke(curve, (0, 0)).length for curve in STROKES[letter])
     tree, least = cKDTree(sampled(letter)), min_count(letter)
     assert 2 <= least <= 12
@@ -70,7 +70,7 @@ def test_robots_stand_on_the_strokes_with_room_between_them_for_every_count(lett
 def test_the_strokes_are_covered_without_gaps(letter: str) -> None:
     """With 12 robots no point of a letter is farther from one than 0.75 of the mean spacing.
 
-    Webster's rule leaves parts of at most 1.5 times their mean; half of that is to the nearer end.
+    Webster's rule makes parts of at most 1.5 times their mean, and the nearer end is within half a part.
     """
     length = sum(Stroke(curve, (0, 0)).length for curve in STROKES[letter])
     points = shape_points(f"word:{letter}", 12)
@@ -80,7 +80,7 @@ def test_the_strokes_are_covered_without_gaps(letter: str) -> None:
 
 
 def test_curves_are_seen_to_be_curves() -> None:
-    """The fewest robots still turn by no more than the stated angle from one to the next: O is a hexagon."""
+    """With the minimum number of robots, the turn between two of them is within the limit: O is a hexagon."""
     assert min_count("O") == 6 == np.ceil(360 / TURN_DEG)
     points = shape_points("word:O", 6)
     angles = np.unwrap(np.arctan2(points[:, 1] - 0.5, points[:, 0] - 0.42))

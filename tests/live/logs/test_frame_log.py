@@ -102,7 +102,15 @@ def test_images_of_any_size_are_drawn(seen, shape) -> None:
         seen,
         **{
             name: getattr(seen, name)[:0]
-            for name in ("ids", "centers_px", "headings_rad", "sides_px", "corners_px", "covariances")
+            for name in (
+                "ids",
+                "centers_px",
+                "headings_rad",
+                "sides_px",
+                "corners_px",
+                "covariances",
+                "qualities",
+            )
         },
     )
     made = dict(frame_log.pages(0, 64, np.zeros(shape, dtype=np.uint8), nothing, None, None))

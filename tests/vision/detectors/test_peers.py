@@ -1,4 +1,4 @@
-"""Detectors of others behind our interface: corner order, heading, biases, and what is refused."""
+"""Wrapped detectors of other libraries: corner order, heading, biases, and errors."""
 
 import builtins
 from functools import cache
@@ -42,12 +42,12 @@ BIAS_PX = {
 
 @cache
 def frames(dictionary, count):
-    """What all detectors of a dictionary are shown: so many frames of 16 markers by each of two cameras."""
+    """Return `count` frames of 16 markers from each of two cameras."""
     return list(rendered_frames(Cell(noise=2.0, blur_px=0.8, cameras=2, frames=count), dictionary, 5))
 
 
 def errors(name, dictionary, count, *, corrected):
-    """Errors (N, 4) of u, v, heading, side, and of the corners (N, 4, 2), over all of these frames."""
+    """Return the errors (N, 4) of u, v, heading and side, and the corner distances (N, 4), px."""
     if name in LIBRARIES:
         pytest.importorskip(LIBRARIES[name])
     detector = PeerDetector(name, dictionary, corrected=corrected)
@@ -69,19 +69,20 @@ def errors(name, dictionary, count, *, corrected):
 IN_FRAMES = pytest.mark.parametrize(
     ("count", "least", "bias_px"), [(2, 56, 0.07), pytest.param(3, 85, 0.05, marks=pytest.mark.slow)]
 )
-"""Frames a camera, how many markers are to be found of 16 in each, and how well their mean place is known.
+"""Frames per camera, minimum number of detected markers, and tolerance of the mean position, px.
 
-The worst scatter of one is 0.18 px: three standard errors are 0.07 px over 61 markers, 0.055 px over 96.
+The largest standard deviation is 0.18 px: three standard errors are 0.07 px for 61 markers and 0.055 px for
+96.
 """
 
 
 @IN_FRAMES
 @pytest.mark.parametrize(("name", "dictionary"), DICTIONARIES)
-def test_corrected_peers_agree_with_the_truth_in_every_convention(name, dictionary, count, least, bias_px):
-    """Corners within a pixel of ours, in our order: a wrong order would be off by a side, 30 px.
+def test_corrected_peers_match_ground_truth(name, dictionary, count, least, bias_px):
+    """Corners in the package's order to a pixel; a wrong order gives errors of a side, 30 px.
 
-    Position without bias as far as so many markers tell; heading to 2 deg, the side to half a pixel, since
-    its bias depends on the side by that much.
+    Position without bias within the tolerance, heading to 2 deg, and side to half a pixel, because its bias
+    depends on the side by up to that.
     """
     error, corners = errors(name, dictionary, count, corrected=True)
     assert len(error) > least
@@ -94,7 +95,7 @@ def test_corrected_peers_agree_with_the_truth_in_every_convention(name, dictiona
 @IN_FRAMES
 @pytest.mark.parametrize(("name", "dictionary"), [*DICTIONARIES[:5], DICTIONARIES[7], DICTIONARIES[12]])
 def test_uncorrected_peers_keep_their_biases(name, dictionary, count, least, bias_px):
-    """Position biases as published; AprilTag's headings are half a turn off, OpenCV's are not."""
+    """Position biases as in the table. AprilTag's headings differ by 180 degrees, OpenCV's do not."""
     error, _ = errors(name, dictionary, count, corrected=False)
     assert len(error) > least
     np.testing.assert_allclose(error[:, :2].mean(axis=0), BIAS_PX[name], atol=bias_px)
@@ -103,7 +104,7 @@ def test_uncorrected_peers_keep_their_biases(name, dictionary, count, least, bia
     assert error[:, 3].mean() < 0.02
 
 
-def test_none_reports_a_covariance_and_all_are_known_by_name():
+def test_peers_have_names_and_report_no_covariance():
     assert set(peer_names()) <= set(detector_names())
     frame = next(rendered_frames(Cell(cameras=1, frames=1), "4X4_50", 1))
     seen = create_detector("opencv").detect(frame.image, time_s=1.5, unit_id=3)
@@ -114,8 +115,8 @@ def test_none_reports_a_covariance_and_all_are_known_by_name():
     np.testing.assert_allclose((raw.centers_px - same.centers_px), BIAS_PX["opencv-apriltag"], atol=0.03)
 
 
-def test_headings_in_a_tilted_plane_are_those_of_the_forward_axes():
-    """Exact corners at 15 deg: to 0.2 deg, second order in the tilt; fitted alone, off by 1 deg."""
+def test_headings_in_a_tilted_plane_match_the_forward_axes():
+    """Exact corners at 15 deg: below 0.2 deg (second order in the tilt), above 1 deg without the plane."""
     tilt = np.radians(15.0)
     c, s = np.cos(tilt), np.sin(tilt)
     seen = np.array([[1.0, 0, 0], [0, c, -s], [0, s / 600, c]])
@@ -132,7 +133,7 @@ def test_headings_in_a_tilted_plane_are_those_of_the_forward_axes():
     assert headings_in_plane(image[:0]).shape == (0,)
 
 
-def test_of_a_repeated_id_the_larger_counts():
+def test_largest_quad_of_a_repeated_id_is_kept():
     square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     corners = np.stack([10 * square, 20 * square, 5 * square])
     ids, kept = peers._largest_of_each(np.array([7, 7, 3]), corners)
@@ -140,7 +141,7 @@ def test_of_a_repeated_id_the_larger_counts():
     np.testing.assert_array_equal(kept, corners[[2, 1]])
 
 
-def test_an_image_without_markers_is_no_error_and_a_colour_image_is():
+def test_peers_accept_empty_scenes_and_refuse_colour_images():
     for name in peer_names()[:4]:
         assert len(create_detector(name).detect(np.full((90, 120), 128, np.uint8))) == 0
     with pytest.raises(InputError, match="grey"):
@@ -148,7 +149,7 @@ def test_an_image_without_markers_is_no_error_and_a_colour_image_is():
 
 
 @pytest.mark.parametrize(("name", "library"), LIBRARIES.items())
-def test_peers_of_other_libraries_say_what_they_lack(name, library, monkeypatch):
+def test_missing_library_or_dictionary_gives_input_error(name, library, monkeypatch):
     with pytest.raises(InputError, match=r"does not know 5X5_50; one of .*APRILTAG_16h5"):
         create_detector(name, dictionary="5X5_50")
 
@@ -165,8 +166,8 @@ def test_peers_of_other_libraries_say_what_they_lack(name, library, monkeypatch)
 
 
 @pytest.mark.parametrize("name", ["opencv", "opencv-apriltag", "apriltag3", "locus-tag"])
-def test_all_places_of_a_repeated_id_are_told_where_detect_has_the_largest(name):
-    """Two markers of id 3, of 60 and 90 px, and one of id 5; every corner as `detect` has it."""
+def test_find_all_reports_repeats_and_detect_the_largest(name):
+    """Two markers of id 3, of 60 and 90 px, and one of id 5. The corners equal those of `detect`."""
     if name in LIBRARIES:
         pytest.importorskip(LIBRARIES[name])
     image = np.full((240, 420), 220, np.uint8)

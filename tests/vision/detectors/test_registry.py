@@ -1,4 +1,4 @@
-"""Detectors by name and as `module:factory`, and what is said of those that cannot be made."""
+"""Creation of detectors by name and as `module:factory`, its errors, and the interface."""
 
 import sys
 from importlib.metadata import EntryPoint
@@ -29,7 +29,7 @@ NOT_A_FACTORY = 5
 
 
 class Square:
-    """Sees one marker, with the dictionary's name's length as its id, in every image."""
+    """Detects one marker in every image; its id is the length of the dictionary's name."""
 
     def __init__(self, dictionary):
         self.marker_id = len(dictionary)
@@ -64,7 +64,7 @@ def nothing(dictionary):
 
 @pytest.fixture
 def own_module(tmp_path, monkeypatch):
-    """A module with a detector, in the working directory, which is not on the path of imports."""
+    """Create a module with a detector in the working directory, which is not in `sys.path`."""
     (tmp_path / "own_detector.py").write_text(OWN_DETECTOR, "utf-8")
     (tmp_path / "broken_module.py").write_text("1 / 0\n", "utf-8")
     monkeypatch.chdir(tmp_path)
@@ -73,7 +73,7 @@ def own_module(tmp_path, monkeypatch):
     sys.modules.pop("own_detector", None)
 
 
-def test_a_detector_written_from_the_interface_alone_is_created_and_detects(own_module):
+def test_detector_outside_the_package_is_created_and_detects(own_module):
     detector: Detector = create_detector("own_detector:Square", dictionary="APRILTAG_36h11")
     found = detector.detect(np.zeros((60, 80), np.uint8), time_s=1.5, unit_id=2)
     assert found.ids.tolist() == [14] and (found.time_s, found.unit_id) == (1.5, 2)
@@ -101,20 +101,20 @@ def test_a_detector_written_from_the_interface_alone_is_created_and_detects(own_
         ("aruco", "^detector: no detector 'aruco'; photometric, or opencv for that of OpenCV alone$"),
     ],
 )
-def test_each_way_to_go_wrong_is_an_input_error_that_says_what(own_module, name, words):
+def test_invalid_detector_name_or_factory_gives_input_error(own_module, name, words):
     with pytest.raises(InputError, match=words) as caught:
         create_detector(name)
     assert caught.value.where == ("detector" if ":" not in name else f"detector {name}")
 
 
-def test_an_input_error_of_a_factory_is_passed_on_as_it_is(own_module):
+def test_input_error_of_a_factory_is_propagated(own_module):
     with pytest.raises(InputError, match=r"^detector choosy: does not know 4X4_50; 5X5_100$"):
         create_detector("own_detector:choosy")
 
 
 @pytest.fixture
 def installed_detectors(own_module, monkeypatch):
-    """Two detectors of an installed package: one with a name of its own, one with a built-in name."""
+    """Install entry points of three detectors: a new name, a built-in name, and an invalid factory."""
     found = [
         EntryPoint(name, f"{own_module}:{value}", ENTRY_POINTS)
         for name, value in (("squares", "Square"), ("opencv", "broken"), ("bad", "nothing"))
@@ -125,25 +125,25 @@ def installed_detectors(own_module, monkeypatch):
     registry._plugins.cache_clear()
 
 
-def test_an_installed_detector_is_created_by_its_name(installed_detectors, caplog):
+def test_installed_detector_is_created_by_its_name(installed_detectors, caplog):
     with caplog.at_level("INFO", logger="skyherd"):
         found = create_detector("squares", dictionary="APRILTAG_36h11").detect(np.zeros((9, 9), np.uint8))
     assert found.ids.tolist() == [14] and "squares" in detector_names()
     assert "detector squares is own_detector:Square" in caplog.text
 
 
-def test_a_built_in_name_takes_precedence_over_an_installed_one(installed_detectors):
+def test_built_in_name_takes_precedence_over_entry_point(installed_detectors):
     assert len(create_detector("opencv").detect(np.zeros((60, 80), np.uint8))) == 0
 
 
-def test_an_installed_detector_that_is_none_is_refused(installed_detectors):
+def test_installed_factory_without_a_detector_is_refused(installed_detectors):
     with pytest.raises(InputError, match="the factory returned NoneType"):
         create_detector("bad")
 
 
 @pytest.mark.parametrize("name", [name for name in detector_names() if name != "apriltag3"])
-def test_every_detector_keeps_the_promises_of_the_interface(name):
-    """No marker gives none, times and ids come back, the image is not changed, and a wrong one is refused."""
+def test_every_detector_complies_with_the_interface(name):
+    """No markers, the given time and unit id, an unchanged image, and an error for an invalid image."""
     detector = create_detector(name, dictionary=DEFAULT_DICTIONARY)
     image = np.full((90, 120), 128, np.uint8)
     image.setflags(write=False)
@@ -155,7 +155,7 @@ def test_every_detector_keeps_the_promises_of_the_interface(name):
             detector.detect(wrong)
 
 
-def test_corners_are_scaled_about_their_centre_to_the_side_that_is_given():
+def test_corners_are_scaled_about_the_centre_to_a_given_side():
     corners = np.array([[[10.0, 20], [30, 20], [30, 40], [10, 40]]])
     found = detections_of_corners(
         np.zeros((60, 80), np.uint8),

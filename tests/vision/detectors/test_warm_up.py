@@ -1,4 +1,4 @@
-"""What the first image would wait for is loaded before."""
+"""Warm-up loads the compiled code of a detector before the first image."""
 
 import subprocess
 import sys
@@ -20,15 +20,15 @@ print("{KERNEL}" in sys.modules)
 """
 
 
-def test_compiled_code_is_there_before_the_first_image() -> None:
+def test_warm_up_loads_compiled_code() -> None:
     done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "True"]
 
 
 @pytest.mark.parametrize("name", sorted({"opencv", "photometric", "tracking"} & set(detector_names())))
 @pytest.mark.parametrize("dictionary", ["4X4_50", "APRILTAG_36h11"])
-def test_the_marker_that_is_shown_is_found(name, dictionary, monkeypatch) -> None:
-    """What finds no marker would not load what markers are measured by."""
+def test_warm_up_detects_its_marker(name, dictionary, monkeypatch) -> None:
+    """Without a detected marker, the code of the fit would not be loaded."""
     found = []
 
     def watched(*given, **how):
@@ -44,6 +44,6 @@ def test_the_marker_that_is_shown_is_found(name, dictionary, monkeypatch) -> Non
     assert [seen.ids.tolist() for seen in found] == [[0]] * 2
 
 
-def test_a_detector_that_is_not_known_is_refused() -> None:
+def test_warm_up_refuses_an_unknown_detector() -> None:
     with pytest.raises(InputError, match="no detector"):
         warm_up("none", "4X4_50")

@@ -10,6 +10,7 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import cells_per_side, code_distance, corners_of_pose, marker_cells
+from skyherd.messages import Quality
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.diagnosis.explain import Rejection, explain
@@ -28,8 +29,7 @@ from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.photometric.fitting.fit_result import FitResults
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.image_noise import image_noise
-from skyherd.vision.photometric.verify import Quantity, verification_tests, verified
-from skyherd.vision.photometric.wrong_cells import WrongCellResiduals
+from skyherd.vision.photometric.verify import Quantity, WrongCellResiduals, verification_tests, verified
 
 DICTIONARY = "4X4_50"
 WIDE = "4X4_50@2"
@@ -97,7 +97,7 @@ def test_nothing_is_rejected_where_all_is_well(draw, dictionary) -> None:
     assert explain(image, dictionary) == explain(image, dictionary, found) == []
 
 
-def test_what_another_detector_does_not_report_is_said_to_be_found_by_the_default_one(draw) -> None:
+def test_explain_says_if_the_default_detector_finds_a_marker(draw) -> None:
     image = draw()
     found = create_detector(dictionary=DICTIONARY).detect(image).select([3, 7, 12])
     (r,) = explain(image, DICTIONARY, found)
@@ -106,12 +106,12 @@ def test_what_another_detector_does_not_report_is_said_to_be_found_by_the_defaul
 
 
 def test_too_few_pixels(draw) -> None:
-    """Markers of 7 px have hardly a pixel a cell; outlines of them are right to a pixel."""
-    rejected = likely(draw(7))
-    assert len(rejected) >= 2
+    """Markers of 6 px have a pixel a cell; outlines of them are right to a pixel."""
+    rejected = likely(draw(6))
+    assert len(rejected) >= 1
     for r in rejected:
         assert r.reason is Reason.FEW_PIXELS and r.measured.limit == 8.0
-        assert r.measured.value == pytest.approx(7, abs=1.0) and "fly lower" in r.words
+        assert r.measured.value == pytest.approx(6, abs=1.5) and "fly lower" in r.words
 
 
 @pytest.mark.smoke
@@ -165,7 +165,7 @@ def test_cut_by_the_border(draw) -> None:
         assert np.abs(r.center_px[0] + cut - PLACES_PX[0, 0]) < 4
 
 
-def test_a_shape_without_bits_at_the_border_is_not_called_a_marker(draw) -> None:
+def test_shape_without_a_marker_border_is_not_called_a_marker(draw) -> None:
     image = draw(60)
     image[150:200, :40] = 25
     assert likely(image) == []
@@ -174,8 +174,10 @@ def test_a_shape_without_bits_at_the_border_is_not_called_a_marker(draw) -> None
 def test_too_oblique(draw) -> None:
     """At acos(0.2) = 78.5 deg the squeeze is `(1 - 0.2) / (1 + 0.2)` = 0.67."""
     image = cv2.resize(draw(60, noise=0.0), (400, 80), interpolation=cv2.INTER_AREA)
-    rejected = likely(image)
-    check(rejected, Reason.OBLIQUE, IDS)
+    rejected, seen = likely(image), create_detector().detect(image)
+    lost = sorted(set(IDS) - set(seen.ids.tolist()))
+    check(rejected, Reason.OBLIQUE, lost)
+    assert lost and not len(seen.of_quality(Quality.PHOTOMETRIC)), "others are read, but not fitted"
     for r in rejected:
         assert r.measured.value == pytest.approx(0.667, abs=0.01) and r.measured.limit == 0.6
         assert r.reading.tilt_deg == pytest.approx(78.5, abs=4)
@@ -258,7 +260,7 @@ def test_each_test_of_a_fit_is_named_with_its_value_and_limit(draw, quantity) ->
     """Good fits, one of them changed in one respect: that very test is told, the fit is refused, its reason
     has words with the numbers, and the other fits stay good."""
     image = draw()
-    first, _ = PhotometricDetector(DICTIONARY, following=False).looks(image)
+    first, _ = PhotometricDetector(DICTIONARY, following=False).searches(image)
     noise, distance = image_noise(image), code_distance(DICTIONARY)
     assert verified(first.found, noise, distance).all() and len(first.found.ids) == 4
     fits = broken(first.found, quantity)
@@ -283,7 +285,7 @@ def test_mirrored(draw, count) -> None:
     assert {(r.reason, r.reading.nearest_id) for r in rejected} == {(Reason.MIRRORED, k) for k in ids}
 
 
-def test_markers_that_are_their_own_mirror_images_are_never_called_mirrored(draw) -> None:
+def test_symmetric_markers_are_never_called_mirrored(draw) -> None:
     """8, 9, 17 and 47 of 4X4_50 in a picture and in its mirror image: found in both, or too faint in both."""
     own = [8, 9, 17, 47]
     for turn in (1, -1):
@@ -294,7 +296,7 @@ def test_markers_that_are_their_own_mirror_images_are_never_called_mirrored(draw
     assert {(r.reason, r.reading.nearest_id) for r in mixed} == {(Reason.MIRRORED, 3), (Reason.MIRRORED, 7)}
 
 
-def test_mirror_images_that_are_markers_are_known_from_the_cells_alone() -> None:
+def test_symmetric_markers_are_determined_from_the_cells() -> None:
     """Against all pairs of cells: a template is mirrored if no marker in any turn has the same cells."""
     templates = load_templates(DICTIONARY)
     cells = [marker_cells(DICTIONARY, k) for k in range(50)]
@@ -312,7 +314,7 @@ def test_an_id_that_is_there_twice(draw) -> None:
     assert [(r.reason, r.reading.nearest_id) for r in rejected] == [(Reason.REPEATED, 3)] * 2
 
 
-def test_what_is_found_is_explained_as_found_and_what_is_refused_by_a_test(
+def test_explain_reports_found_markers_and_names_failed_tests(
     ground,
 ) -> None:
     """Candidates in rendered markers and clutter, of any size and blur: a fit is good if and only if it fails
@@ -329,7 +331,7 @@ def test_what_is_found_is_explained_as_found_and_what_is_refused_by_a_test(
         image = with_clutter(rng, image, 12)
         detector = PhotometricDetector(DICTIONARY, following=False)
         noise, distance = image_noise(image), code_distance(DICTIONARY)
-        first, _ = detector.looks(image)
+        first, _ = detector.searches(image)
         tests = verification_tests(first.fits, noise, distance)
         failed = np.array([failed_test(tests, row) is not None for row in range(first.good.size)])
         assert not (failed & first.good).any()
@@ -381,7 +383,7 @@ def test_another_dictionary_is_suggested(draw) -> None:
 
 
 def test_a_drawn_marker_is_read_with_its_levels_and_blur() -> None:
-    """Blurred by a Gaussian of 0.4 cells: likeness 1 but for sampling, its levels, and that blur."""
+    """Blurred by a Gaussian of 0.4 cells: likeness 1 except for sampling, its levels, and that blur."""
     cells = np.pad(np.where(marker_cells(DICTIONARY, 17), 200, 40), 2, constant_values=200).astype(np.uint8)
     image = cv2.GaussianBlur(np.kron(cells, np.ones((20, 20), np.uint8)), (0, 0), 8.0)
     corners = np.array([[40, 40], [160, 40], [160, 160], [40, 160]]) - 0.5

@@ -55,7 +55,7 @@ def drawn(ids=IDS, *, dictionary="4X4_50", inverted=False) -> np.ndarray:
         ),
     ],
 )
-def test_what_is_suggested_names_the_difference_and_finds_the_markers(there, looked_for, said) -> None:
+def test_suggestion_names_the_difference_and_finds_the_markers(there, looked_for, said) -> None:
     image = drawn(**there)
     assert suggest(image, "4X4_50", **looked_for) == f"its markers are {said}"
     options = _options(said, looked_for)
@@ -77,7 +77,7 @@ def _options(said: str, looked_for: dict) -> dict:
 
 
 @pytest.mark.parametrize("options", [{}, {"inverted": True}])
-def test_nothing_is_suggested_where_markers_are_as_they_were_looked_for(options) -> None:
+def test_suggest_returns_none_if_the_settings_are_right(options) -> None:
     """Also not where one of three repeats and is left out, since no other print has more of them."""
     image = drawn(inverted=bool(options))
     assert suggest(image, "4X4_50", **options) is None

@@ -1,13 +1,12 @@
-"""Searching later: nobody waits for it, and what it finds is what searching at once finds."""
+"""Deferred searches: detection does not wait for them, and they find what an immediate search finds."""
 
 import numpy as np
 import pytest
 
 from skyherd.errors import InputError
 from skyherd.vision import DeferringDetector, PhotometricDetector, create_detector
-from skyherd.vision.photometric import deferring
-from skyherd.vision.photometric.deferring import LOOK_AROUND_INTERVAL
-from skyherd.vision.photometric.detector import SEARCH_INTERVAL
+from skyherd.vision.photometric import detector as deferring
+from skyherd.vision.photometric.detector import LOOK_AROUND_INTERVAL, SEARCH_INTERVAL
 
 DICTIONARY, SIZE = "4X4_50", (400, 320)
 HOMES = np.array([80 + 80j, 200 + 80j, 320 + 80j, 80 + 230j, 200 + 230j, 320 + 230j])
@@ -44,9 +43,7 @@ def test_without_news_all_is_as_if_searched_at_once(draw) -> None:
         np.testing.assert_allclose(later.corners_px, at_once.corners_px, atol=1e-3)
 
 
-def test_an_image_whose_markers_are_all_there_is_not_searched_before_it_is_reported(
-    draw, monkeypatch
-) -> None:
+def test_complete_image_is_reported_before_it_is_searched(draw, monkeypatch) -> None:
     detector, searched = DeferringDetector(DICTIONARY), []
     search = detector._search
     monkeypatch.setattr(
@@ -72,7 +69,7 @@ def test_a_marker_that_comes_is_found_in_its_turn(draw) -> None:
     assert COMES < first[DeferringDetector] <= LATEST
 
 
-def test_each_part_is_searched_once_in_ten_images_and_no_two_in_one(draw, monkeypatch) -> None:
+def test_each_search_runs_once_in_ten_images_and_never_two(draw, monkeypatch) -> None:
     """The first image is searched before it is reported; the last of the parts is ten images later."""
     detector, done = DeferringDetector(DICTIONARY), []
     quads = detector._quads
@@ -104,7 +101,7 @@ def test_a_marker_that_jumps_is_searched_for_at_once(draw) -> None:
         assert look(detector, draw(number, IDS[:5], homes), number).ids.tolist() == IDS[:5].tolist()
 
 
-def test_an_id_that_is_seen_at_a_second_place_is_not_reported_any_more(draw) -> None:
+def test_id_found_at_a_second_place_is_no_longer_reported(draw) -> None:
     detector, twice = DeferringDetector(DICTIONARY), np.append(IDS[:5], IDS[2])
     for number in range(LATEST + 2):
         here = number >= COMES
@@ -113,13 +110,13 @@ def test_an_id_that_is_seen_at_a_second_place_is_not_reported_any_more(draw) -> 
     assert seen.ids.tolist() == np.delete(IDS[:5], 2).tolist()
 
 
-def test_units_are_kept_apart_and_nothing_is_searched_of_a_unit_that_was_not_seen(draw) -> None:
+def test_units_are_independent_and_unseen_units_not_searched(draw) -> None:
     detector = DeferringDetector(DICTIONARY)
     for number in range(LOOK_AROUND_INTERVAL - 1):
         detector.detect(draw(number, IDS, HOMES), time_s=0.1 * number, unit_id=0)
-    before = detector.estimates[0].unsearched
+    before = detector.states[0].unsearched
     detector.look_around(draw(number, IDS, HOMES), unit_id=1)
-    assert detector.estimates[0].unsearched == before and 1 not in detector.estimates
+    assert detector.states[0].unsearched == before and 1 not in detector.states
 
 
 def test_an_image_that_is_none_is_refused() -> None:

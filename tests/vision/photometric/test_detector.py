@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.dictionary import card_side, code_distance, pose_of_corners
+from skyherd.messages import Quality
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot, project_markers
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric.fitting.fit import fit_markers
@@ -95,7 +96,7 @@ def test_the_covariance_is_honest_and_errs_on_the_safe_side(side_px):
     assert (nees > 0.7).all() and (nees < 1.35).all(), nees
 
 
-def test_small_markers_under_heavy_blur_are_found_and_fitted_under_it():
+def test_small_markers_under_heavy_blur_are_found_and_fitted():
     """Cells of 2 px under 1.33 px, two thirds of a cell: nineteen in twenty are found, and tell their errors.
 
     They promise a quarter too little variance. Fitted under less blur than there is, they promised half.
@@ -106,13 +107,13 @@ def test_small_markers_under_heavy_blur_are_found_and_fitted_under_it():
     assert (nees > 0.7).all() and (nees < 1.5).all(), nees
 
 
-def test_what_is_too_blurred_is_not_fitted_until_it_passes():
+def test_markers_blurred_above_limit_are_no_photometric_ones():
     """Cells of 1.67 px under 1.28 px of blur are beyond the limit of 0.75 cells, by less than noise moves it.
 
     Of many fits of one marker, the one with the least blur would pass, which is that with the largest error.
     """
-    error, _ = errors(10, 2.0, psf_px=1.25)
-    assert len(error) < 0.03 * 20 * PER_FRAME
+    seen = [seen for seen, _ in frames(10, 2.0, 1.25, 20, 1)]
+    assert sum(len(one.of_quality(Quality.PHOTOMETRIC)) for one in seen) < 0.03 * 20 * PER_FRAME
 
 
 @pytest.mark.parametrize("psf_px", [0.55, 1.2])
@@ -129,7 +130,7 @@ def test_an_unknown_blur_is_found(psf_px):
         detector.detect(
             renderer.render(Shot(camera, CameraPose((0, 0), 10.0), ids, positions, rng.uniform(-3, 3, 6)))
         )
-    assert detector.estimates[0].sigma_px == pytest.approx(total_sigma_px(psf_px), rel=0.08)
+    assert detector.states[0].sigma_px == pytest.approx(total_sigma_px(psf_px), rel=0.08)
 
 
 def near(side_px, heading, center, seed=0):
@@ -177,7 +178,7 @@ def test_the_plane_of_a_tilted_camera_is_found():
     image = renderer.render(Shot(camera, pose, np.arange(16), grid, np.linspace(-3, 3, 16)))
     detector = PhotometricDetector(DICTIONARY)
     detector.detect(image)
-    plane = detector.estimates[0].plane
+    plane = detector.states[0].plane
     assert plane.shared
     # Each squeeze is known to 2 / 200 / 30 or so over 16 markers: 1e-4; the horizon to that over 200 px.
     assert abs(abs(plane.horizon) - np.tan(tilt) / focal) < 5e-6
@@ -231,7 +232,7 @@ def test_squeezes_of_small_markers_have_no_error_in_common(aspect):
         at, headings = grid + rng.uniform(-1.5, 1.5, grid.shape), rng.uniform(-np.pi, np.pi, 16)
         detector = PhotometricDetector(DICTIONARY)
         detector.detect(renderer.render(Shot(camera, pose, np.arange(16), at, headings)))
-        squeezes.append(detector.estimates[0].plane.squeeze)
+        squeezes.append(detector.states[0].plane.squeeze)
     off = np.array(squeezes) - (1 - aspect) / (1 + aspect)
     deviation = np.sqrt(np.var(off) / 2 / images)
     assert deviation < 3e-5

@@ -7,16 +7,17 @@ from hypothesis import strategies as st
 
 from skyherd.geometry import wrap_angle
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.photometric import detector as stages
 from skyherd.vision.photometric import following
-from skyherd.vision.photometric.common_motion import carried, common_motion, find_quads_near, innermost
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.tracks import apply_similarity, common_motion, find_quads_near, innermost
 from skyherd.vision.search.quads import find_quads
 
 DICTIONARY, SIZE, SIDE_PX = "4X4_50", (640, 480), 30.0
 MIDDLE = complex(SIZE[0] - 1, SIZE[1] - 1) / 2
 HOMES = np.add.outer(1j * np.arange(90, 450, 100), np.arange(100, 600, 110)).ravel()
 IDS = np.arange(HOMES.size)
+SEEN = np.zeros(HOMES.size, dtype=np.int64)
+"""Images in which each marker was missed."""
 HEADINGS = 0.4 * np.arange(HOMES.size)
 
 
@@ -31,17 +32,17 @@ def markers(centers, arms) -> LocalHomographies:
     seed=st.integers(0, 2**31),
     count=st.integers(3, 8),
 )
-def test_the_common_motion_is_the_cameras_however_each_robot_turned(a, b, seed, count) -> None:
+def test_common_motion_is_independent_of_robot_rotations(a, b, seed, count) -> None:
     rng = np.random.default_rng(seed)
     before = markers(rng.uniform(0, 600, (count, 2)) @ [1, 1j], 20 * np.exp(1j * rng.uniform(-3, 3, count)))
-    after = carried(before, (a, b))
+    after = apply_similarity(before, (a, b))
     turned = markers(after.centers, after.arms * np.exp(1j * rng.uniform(-3, 3, count)))
     found = common_motion(before, turned)
     assert found == (pytest.approx(a, abs=1e-9), pytest.approx(b, abs=1e-6))
 
 
 @pytest.mark.parametrize("count", [1, 2])
-def test_one_or_two_markers_tell_the_scale_by_their_sides_and_no_rotation(count) -> None:
+def test_one_or_two_markers_give_scale_by_side_and_no_rotation(count) -> None:
     """Though each turned by itself, and two drove past one another."""
     before = markers([100 + 50j, 160 + 50j][:count], [20, 20j][:count])
     own_ways = np.array([0j]) if count == 1 else np.array([4j, -4j])
@@ -52,7 +53,7 @@ def test_one_or_two_markers_tell_the_scale_by_their_sides_and_no_rotation(count)
 def test_tilt_stays_where_it_is_in_the_images_axes() -> None:
     """A camera that yaws takes its tilt along: the relative squeeze k / conj(m) and the horizon stay."""
     before = LocalHomographies(np.array([3 + 1j]), np.array([20j]), np.array([1 - 2j]), np.array([1e-4 + 0j]))
-    after = carried(before, (1.05 * np.exp(0.3j), 5.0))
+    after = apply_similarity(before, (1.05 * np.exp(0.3j), 5.0))
     assert after.squeezes / after.arms.conj() == pytest.approx(before.squeezes / before.arms.conj())
     assert after.horizons == pytest.approx(before.horizons)
     assert after.sides_px() == pytest.approx(1.05 * before.sides_px())
@@ -105,8 +106,10 @@ CHANGES = [zoomed, panned, yawed, scattered, turned]
 
 def followed(sequence, change, monkeypatch):
     """What is detected in six images of a sequence, and in which of them the whole image was looked at."""
-    looked, real = [], stages.look_twice
-    monkeypatch.setattr(stages, "look_twice", lambda *given: looked.append(number) or real(*given))
+    looked, real = [], PhotometricDetector._search_with_fallback
+    monkeypatch.setattr(
+        PhotometricDetector, "_search_with_fallback", lambda *given: looked.append(number) or real(*given)
+    )
     detector, seen = PhotometricDetector(DICTIONARY), []
     for number in range(6):
         seen.append(detector.detect(sequence(number, change)[0], time_s=0.1 * number))
@@ -114,9 +117,7 @@ def followed(sequence, change, monkeypatch):
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
-def test_markers_that_all_moved_are_found_without_a_search_of_the_whole_image(
-    sequence, monkeypatch, change
-) -> None:
+def test_markers_that_all_moved_are_found_without_full_search(sequence, monkeypatch, change) -> None:
     """All twenty, and measured as in an image by itself: to a fifth of their standard deviations."""
     seen, looked = followed(sequence, change, monkeypatch)
     assert looked == [0]
@@ -132,8 +133,8 @@ def test_markers_that_all_moved_are_found_without_a_search_of_the_whole_image(
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
 def test_where_they_were_predicted_most_of_them_are_not(sequence, monkeypatch, change) -> None:
     """The negative control: without the common motion and the search near the places, all is searched."""
-    monkeypatch.setattr(following, "_moved", lambda image, dictionary, known, start, fits: start)
-    monkeypatch.setattr(following, "find_quads_near", lambda image, places: np.zeros((0, 4, 2)))
+    monkeypatch.setattr(following, "_moved", lambda image, dictionary, state, start, fits: start)
+    monkeypatch.setattr(following, "find_quads_near", lambda image, places, missed: np.zeros((0, 4, 2)))
     seen, looked = followed(sequence, change, monkeypatch)
     assert looked[:2] == [0, 4] and seen[4].ids.tolist() == IDS.tolist()
 
@@ -146,12 +147,12 @@ def test_one_robot_that_turned_by_itself_is_found_near_its_place(sequence, monke
     assert looked == [0] and seen[4].ids.tolist() == IDS.tolist()
 
 
-def test_a_marker_that_leaves_the_view_is_not_searched_for_in_the_whole_image(
-    place_markers, draw_markers, monkeypatch
-) -> None:
+def test_marker_leaving_the_view_causes_no_full_search(place_markers, draw_markers, monkeypatch) -> None:
     """One at the right border drives out; one that vanishes in the middle is, the negative control."""
-    looked, real = [], stages.look_twice
-    monkeypatch.setattr(stages, "look_twice", lambda *given: looked.append(number) or real(*given))
+    looked, real = [], PhotometricDetector._search_with_fallback
+    monkeypatch.setattr(
+        PhotometricDetector, "_search_with_fallback", lambda *given: looked.append(number) or real(*given)
+    )
     detector = PhotometricDetector(DICTIONARY)
     for number in range(9):
         homes = np.array([100 + 100j, 300 + 200j, 590 + 300j + 8 * number, 200 + 380j])
@@ -162,16 +163,16 @@ def test_a_marker_that_leaves_the_view_is_not_searched_for_in_the_whole_image(
     assert seen.ids.tolist() == [0, 1] and looked == [0, 8]
 
 
-def test_quadrilaterals_near_places_are_those_of_the_whole_image_there(sequence) -> None:
+def test_local_quad_search_matches_the_full_search(sequence) -> None:
     """At two places, one of which reaches over the border; at all places it is the whole image."""
     image, places = sequence(0)[0], HOMES[[0, 7]]
     whole = find_quads(image).mean(axis=1) @ [1, 1j]
-    near = find_quads_near(image, markers(places, [30, 15])).mean(axis=1) @ [1, 1j]
+    near = find_quads_near(image, markers(places, [30, 15]), SEEN[:2]).mean(axis=1) @ [1, 1j]
     for place in places:
         assert np.abs(near - place).min() < 0.5 and np.abs(whole - place).min() < 0.5
     away = np.abs(near[:, None] - places)
     assert (away < np.sqrt(2) * np.array([91, 46])).any(axis=1).all()
-    all_of_it = find_quads_near(image, markers(HOMES, np.full(HOMES.size, 30))).mean(axis=1) @ [1, 1j]
+    all_of_it = find_quads_near(image, markers(HOMES, np.full(HOMES.size, 30)), SEEN).mean(axis=1) @ [1, 1j]
     assert all_of_it.tolist() == whole.tolist()
 
 

@@ -7,6 +7,7 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import code_distance, dictionary_size, marker_cells, with_border
+from skyherd.messages import Quality
 from skyherd.vision import create_detector
 from skyherd.vision.photometric import verify
 from skyherd.vision.photometric.detector import PhotometricDetector
@@ -53,7 +54,7 @@ def test_markers_of_different_blur_are_all_measured(place_markers, draw_markers)
     off = np.abs(found_centers(seen) - centers)
     deviations = np.sqrt(np.trace(seen.covariances[:, :2, :2], axis1=1, axis2=2))
     assert (off < 5 * deviations).all(), off / deviations
-    blurs = detector.estimates[0].tracks.sigmas_px
+    blurs = detector.states[0].tracks.sigmas_px
     left = HOMES.real < 180
     # A Gaussian of 0.5 px sampled at whole pixels is narrower than itself by up to a tenth.
     assert np.allclose(blurs[left], np.hypot(0.5, np.sqrt(1 / 12)), rtol=0.2)
@@ -76,7 +77,7 @@ def test_a_drawing_without_blur_is_read_whole():
 
 
 def test_an_image_is_read_the_same_whatever_was_seen_before(place_markers, draw_markers):
-    """Without following, nothing is carried over: equal to the bit."""
+    """Without following, nothing is apply_similarity over: equal to the bit."""
     first, _, _ = scene(place_markers, draw_markers, seed=1, psf_px=2.0, noise=12.0)
     second, _, _ = scene(place_markers, draw_markers, seed=2, psf_px=0.5)
     detector = create_detector("photometric", dictionary=DICTIONARY)
@@ -101,7 +102,8 @@ def test_processed_images_lose_no_marker(place_markers, draw_markers, monkeypatc
         assert seen.ids.tolist() == list(range(16))
         assert np.abs(found_centers(seen) - centers).max() < 0.1
     monkeypatch.setattr(verify, "MODEL_SHARE", 0.0)
-    assert len(PhotometricDetector(DICTIONARY).detect(processed(image)).ids) < 8
+    seen = PhotometricDetector(DICTIONARY).detect(processed(image))
+    assert len(seen.of_quality(Quality.PHOTOMETRIC)) < 8
 
 
 # --- perspective ---
@@ -159,7 +161,7 @@ def test_ids_that_repeat_are_all_told_if_one_asks(place_markers, draw_markers):
 
 
 @pytest.mark.parametrize("name", ["4X4_50", "APRILTAG_16h5", "5X5_100"])
-def test_a_codes_distance_is_the_least_of_all_pairs_however_turned(name):
+def test_code_distance_is_the_minimum_over_pairs_and_rotations(name):
     bits = [marker_cells(name, marker)[1:-1, 1:-1] for marker in range(dictionary_size(name))]
     least = min(
         np.count_nonzero(bits[i] != np.rot90(bits[j], turn))

@@ -10,7 +10,7 @@ from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.bench.detectors.scorer import Scorer, match
 from skyherd.geometry import wrap_angle
-from skyherd.vision.photometric import look, streaks
+from skyherd.vision.photometric import measure, refine
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.fitting import occlusion
 
@@ -25,7 +25,7 @@ def score(seed, cameras, frames, **factors):
     return scorer.score()
 
 
-def is_round(image, dictionary, fits, good, shared):
+def is_round(image, dictionary, fits, good, shared, worth):
     """In place of `with_streak`: every image is taken to have none."""
     return fits, good, shared
 
@@ -37,11 +37,11 @@ def test_headings_under_a_streak_are_as_good_as_reported(monkeypatch):
     assert seen.found == 16 and seen.false_positives_per_image == 0
     assert seen.nees_heading < 1 + 4 * 0.35
     assert max(seen.nees_u, seen.nees_v) < 1 + 4 * 0.35
-    monkeypatch.setattr(look, "with_streak", is_round)
+    monkeypatch.setattr(measure, "with_streak", is_round)
     assert score(11, 1, 1, motion_px=4.0, blur_px=0.8).nees_heading > 1 + 8 * 0.35
 
 
-def test_one_marker_alone_tells_its_streak_and_says_how_uncertain_it_is():
+def test_one_marker_gives_its_streak_with_a_covariance():
     """12 images of one marker under 3 px: the streak is known from that marker only."""
     seen = score(3, 2, 6, markers=1, motion_px=3.0, blur_px=0.8)
     assert seen.found == 12
@@ -52,7 +52,7 @@ def test_one_marker_alone_tells_its_streak_and_says_how_uncertain_it_is():
 def test_images_without_a_streak_are_fitted_once(monkeypatch, factors):
     """No marker is fitted again, and so nothing changes; with a streak of 4 px they are."""
     called = []
-    monkeypatch.setattr(streaks, "fit_any_blur", lambda *args, **how: called.append(1) or 1 / 0)
+    monkeypatch.setattr(refine, "fit_any_blur", lambda *args, **how: called.append(1) or 1 / 0)
     assert score(5, 2, 1, **factors).found >= 30
     assert not called
     with pytest.raises(ZeroDivisionError):
@@ -64,7 +64,7 @@ def test_the_streak_found_is_the_one_drawn(monkeypatch, place_markers, draw_mark
     """Q = L² / 24 e^{2iφ} of 2 px, which another program draws: the mean of shifted images. A Gaussian takes
     a box of this length for 6 % more, since its flanks are longer."""
     found = []
-    real = streaks.fit_any_blur
+    real = refine.fit_any_blur
 
     def noted(*args, **how):
         found.append(how["streak_px2"])
@@ -82,7 +82,7 @@ def test_the_streak_found_is_the_one_drawn(monkeypatch, place_markers, draw_mark
     places = np.add.outer(1j * np.arange(60, 400, 90), np.arange(60, 400, 90)).ravel()
     matrices = place_markers(places, rng.uniform(-3, 3, 16), 30.0)
     image = draw_markers(matrices, range(16), (400, 400), rng, paint=smear)
-    monkeypatch.setattr(streaks, "fit_any_blur", noted)
+    monkeypatch.setattr(refine, "fit_any_blur", noted)
     assert PhotometricDetector(DICTIONARY).detect(image).ids.tolist() == list(range(16))
     assert found[-1] == pytest.approx(4 / 24 * np.exp(2j * toward_rad), rel=0.12)
 
@@ -132,7 +132,7 @@ def test_without_a_margin_about_covers_headings_are_too_sure(monkeypatch):
 @pytest.mark.slow
 def test_under_round_blur_headings_of_streaks_are_too_sure(monkeypatch):
     """The negative control of streaks."""
-    monkeypatch.setattr(look, "with_streak", is_round)
+    monkeypatch.setattr(measure, "with_streak", is_round)
     assert score(31, 3, 4, motion_px=2.0).nees_heading > 1.5
 
 

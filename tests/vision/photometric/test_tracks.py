@@ -58,12 +58,12 @@ def prediction_error(step_s, **motion):
     [{"arc": 0.9}, {"arc": -2.0}, {"turn": 0.7}, {"zoom": 0.3}, {"turn": -0.5, "zoom": -0.4}],
     ids=str,
 )
-def test_arcs_and_turning_or_zooming_cameras_are_predicted_exactly(motion):
+def test_arcs_and_camera_rotation_or_zoom_are_predicted_exactly(motion):
     """Each takes every step of a centre by one factor, `exp` of the arm's own rate: nothing is left over."""
     assert prediction_error(0.4, **motion) < 1e-10
 
 
-def test_a_straight_line_is_predicted_exactly_and_a_marker_seen_once_where_it_was():
+def test_straight_path_is_predicted_and_a_new_marker_stays():
     still = LocalHomographies(*(np.array([z], dtype=complex) for z in (100 + 50j, 20j, 0, 0)))
     moved = LocalHomographies(still.centers + 3 - 1j, still.arms, still.squeezes, still.horizons)
     once = no_tracks().updated(0.0, np.array([5]), still, SIGMAS[:1])
@@ -76,7 +76,7 @@ def test_a_straight_line_is_predicted_exactly_and_a_marker_seen_once_where_it_wa
     assert untimed.predicted(0.0).centers[0] == pytest.approx(106 + 48j)
 
 
-def test_arc_and_turning_camera_together_leave_what_is_of_second_order_in_the_step():
+def test_arc_with_camera_rotation_has_a_second_order_error():
     """The robot's rate times the camera's: order 2, recovered."""
     steps = 0.2 * 0.5 ** np.arange(4)
     errors = [prediction_error(step, arc=0.9, turn=-0.6, zoom=0.2) for step in steps]
@@ -100,7 +100,7 @@ def test_steps_that_turn_and_steps_that_do_not_are_told_apart():
     assert tracks.on_arc.tolist() == [True, False]
 
 
-def test_markers_are_looked_for_while_their_centres_are_in_the_image():
+def test_markers_are_tracked_while_their_centres_are_in_view():
     centers = np.array([50 + 50j, -0.4 - 0.4j, 119.4 + 99.4j, -0.6 + 50j, 119.6 + 50j, 50 + 99.6j])
     arms = np.full(centers.size, 20 + 0j)
     homographies = LocalHomographies(centers, arms, 0 * arms, 0 * arms)
@@ -122,7 +122,7 @@ def drive(place_markers, draw_markers, rng, count, *, sides=(24.0, 40.0), psf_px
         headings = headings + rates
 
 
-def test_a_followed_marker_is_measured_as_one_that_is_searched_for(place_markers, draw_markers):
+def test_followed_marker_is_measured_like_a_searched_one(place_markers, draw_markers):
     """The same pixels and the same optimum: what differs is where the steps begin, the blur and the plane in
     use. A fifth of the noise's own deviation, root mean square, is allowed for that."""
     rng = np.random.default_rng(1)
@@ -136,14 +136,12 @@ def test_a_followed_marker_is_measured_as_one_that_is_searched_for(place_markers
             [one.centers_px - other.centers_px, one.headings_rad - other.headings_rad]
         )
         off.append(difference / deviation)
-    assert follows.estimates[0].first_looks == 1, "a search was due once, and no marker was missed"
+    assert follows.states[0].searches == 1, "a search was due once, and no marker was missed"
     assert np.sqrt(np.square(off).mean()) < 0.2, np.sqrt(np.square(off).mean())
 
 
 @pytest.mark.parametrize("images", [12, pytest.param(20, marks=pytest.mark.slow)])
-def test_a_marker_that_spins_this_way_and_that_is_measured_no_worse(
-    place_markers, draw_markers, images
-) -> None:
+def test_marker_with_changing_spin_is_measured_no_worse(place_markers, draw_markers, images) -> None:
     """Turned by up to 25 deg, either way, between images: prediction errs by up to 50 deg, a fit may not.
 
     A settled fit errs by the noise alone, of which it says the deviation: beyond 4.9 of them, in two
@@ -195,7 +193,7 @@ def test_units_are_kept_apart(place_markers, draw_markers):
             assert seen.unit_id == unit and seen.ids.tolist() == ids.tolist()
             np.testing.assert_array_equal(seen.centers_px, own.centers_px)
             np.testing.assert_array_equal(seen.covariances, own.covariances)
-    assert together.estimates[1].sigma_px > together.estimates[0].sigma_px + 0.3
+    assert together.states[1].sigma_px > together.states[0].sigma_px + 0.3
 
 
 # --- what changes between two images ---
@@ -292,7 +290,7 @@ def spotted(view, rng):
     return View(view.ids, view.centers, view.headings, view.sides, [cover])
 
 
-def carried(view, rng):
+def apply_similarity(view, rng):
     """A marker set down elsewhere, half a side off or between the others."""
     row, centers, headings = rng.integers(6), view.centers.copy(), view.headings.copy()
     if rng.uniform() < 0.5:
@@ -310,7 +308,7 @@ def turned(view, rng):
     return View(view.ids, view.centers, headings, view.sides)
 
 
-EVENTS = [removed, swapped, replaced, darkened, hidden, spotted, carried, turned]
+EVENTS = [removed, swapped, replaced, darkened, hidden, spotted, apply_similarity, turned]
 
 
 def wrong(seen, view):
@@ -363,14 +361,12 @@ def trials(event, numbers, place_markers, draw_markers):
 def test_no_wrong_id_and_no_stale_pose(event, place_markers, draw_markers):
     faults, share = trials(event, range(4), place_markers, draw_markers)
     assert not faults, faults
-    assert share > (0.8 if event in (spotted, carried) else 0.97)
+    assert share > (0.8 if event in (spotted, apply_similarity) else 0.97)
 
 
-def test_what_resembles_a_marker_near_one_that_is_missing_is_not_taken_for_another(
-    place_markers, draw_markers
-):
+def test_lookalike_near_a_missing_marker_gets_no_other_id(place_markers, draw_markers):
     """Two trials in which a marker lies over another one, and both together look like a third."""
-    assert not trials(carried, [583, 775], place_markers, draw_markers)[0]
+    assert not trials(apply_similarity, [583, 775], place_markers, draw_markers)[0]
 
 
 @pytest.mark.slow
@@ -378,4 +374,4 @@ def test_what_resembles_a_marker_near_one_that_is_missing_is_not_taken_for_anoth
 def test_no_wrong_id_and_no_stale_pose_in_a_thousand_trials(event, place_markers, draw_markers):
     faults, share = trials(event, range(1000), place_markers, draw_markers)
     assert not faults, faults
-    assert share > (0.8 if event in (spotted, carried) else 0.99)
+    assert share > (0.8 if event in (spotted, apply_similarity) else 0.99)

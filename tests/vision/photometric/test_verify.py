@@ -9,7 +9,7 @@ from skyherd.vision.photometric.fitting.fit import fit_markers
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.image_noise import ROUNDING_NOISE, _median_of_levels, image_noise
-from skyherd.vision.photometric.scales import fit_all_sizes
+from skyherd.vision.photometric.refine import fit_all_sizes
 from skyherd.vision.photometric.verify import bits_are_right, verified
 
 DICTIONARY, SIGMA_PX, DISTANCE = "4X4_50", 0.85, 4
@@ -71,9 +71,7 @@ def test_a_fit_on_fewer_pixels_than_it_needs_is_none(place_markers, draw_markers
 
 
 @pytest.mark.parametrize(("share", "believed"), [(0.0, True), (0.58, True), (0.62, False), (0.9, False)])
-def test_a_marker_squeezed_more_than_a_tilt_of_75_degrees_does_is_none(
-    place_markers, draw_markers, share, believed
-):
+def test_marker_of_more_anisotropy_than_75_deg_is_rejected(place_markers, draw_markers, share, believed):
     """The tilt squeezes by `(1 - cos 75°) / (1 + cos 75°) = 0.59` of the arm; all else is of a good fit."""
     rng = np.random.default_rng(6)
     image = draw_markers(place_markers(50 + 50j, 0.4, 40.0), [11], (100, 100), rng)
@@ -165,7 +163,7 @@ def test_little_left_in_every_cell_is_as_bad_as_much_in_one(place_markers, draw_
 # --- large markers ---
 
 
-def test_what_a_wrong_bit_leaves_does_not_depend_on_the_shrinking(place_markers, draw_markers):
+def test_wrong_bit_residual_is_independent_of_downsampling(place_markers, draw_markers):
     """A marker of 280 px is fitted in an image of half the size: its pixels are counted in its own."""
     rng = np.random.default_rng(7)
     image = draw_markers(place_markers(200 + 200j, 0.4, 280.0), [11], (400, 400), rng)

@@ -1,4 +1,4 @@
-"""Quadrilaterals told apart: every marker in every turn, in several dictionaries, and no mirror image."""
+"""Decoding of quadrilaterals: rotations, blur, print contrast, several dictionaries, mirror images."""
 
 import numpy as np
 import pytest
@@ -27,10 +27,8 @@ def grid(place_markers, side_px, headings):
 
 @pytest.mark.parametrize("turn", range(4))
 @pytest.mark.parametrize("dictionary", ["4X4_50", "5X5_100", "APRILTAG_36h11"])
-def test_every_turn_is_told_and_corners_come_in_the_markers_own_order(
-    place_markers, draw_markers, dictionary, turn
-):
-    """4 px a cell, noise 5, corners half a pixel off: every id right, corners as given but for the turn."""
+def test_decode_finds_rotation_and_orders_corners(place_markers, draw_markers, dictionary, turn):
+    """4 px a cell, noise 5, corner errors of half a pixel: all ids are right, corners are only rotated."""
     rng = np.random.default_rng([1, turn])
     ids = rng.permutation(dictionary_size(dictionary))[:25]
     side = 4.0 * cells_per_side(dictionary)
@@ -44,8 +42,8 @@ def test_every_turn_is_told_and_corners_come_in_the_markers_own_order(
 
 
 @pytest.mark.parametrize("assumed_px", [1.23, 0.6])
-def test_small_and_blurred_markers_are_told_by_their_greys(place_markers, draw_markers, assumed_px):
-    """2 px a cell under a blur of 1.23 px, known or not: no cell shows its own colour; 48 of 50 or more."""
+def test_small_blurred_markers_decode_by_their_grey_levels(place_markers, draw_markers, assumed_px):
+    """2 px a cell under a blur of 1.23 px, known or not. Cells run together; at least 48 of 50 decode."""
     rng = np.random.default_rng(2)
     matrices, corners, size = grid(place_markers, 12.0, rng.uniform(-np.pi, np.pi, 50))
     image = draw_markers(matrices, range(50), size, rng, psf_px=1.2)
@@ -56,24 +54,21 @@ def test_small_and_blurred_markers_are_told_by_their_greys(place_markers, draw_m
 
 
 @pytest.mark.smoke
-def test_likeness_does_not_depend_on_gain_and_offset(place_markers, draw_markers):
+def test_correlation_is_independent_of_gain_and_offset(place_markers, draw_markers):
     rng = np.random.default_rng(3)
     matrices, corners, size = grid(place_markers, 40.0, rng.uniform(-np.pi, np.pi, 9))
     image = draw_markers(matrices, range(9), size, rng, noise=0.0)
     faint = np.rint(90 + 0.4 * image).astype(np.uint8)
     one, other = (decode_quads(view, corners, "4X4_50", SIGMA_PX) for view in (image, faint))
     assert one.ids.tolist() == other.ids.tolist() == list(range(9))
-    # Rounding to 8 bits leaves 0.3 of 80 levels a pixel.
+    # Rounding to 8 bits has a standard deviation of 0.3 of 80 grey levels a pixel.
     np.testing.assert_allclose(one.correlations, other.correlations, atol=2e-3)
 
 
 @pytest.mark.parametrize("levels", [(30, 230), (90, 150)])
 @pytest.mark.parametrize("side_px", [8.0, 12.0, 30.0])
-def test_the_print_is_that_of_the_levels_under_any_blur_that_is_known(
-    place_markers, draw_markers, side_px, levels
-):
-    """(white - black) / white; up to an eighth less in the median, since cells are read between pixels, which
-    blurs those of two pixels once more."""
+def test_print_contrast_is_that_of_the_levels_under_known_blur(place_markers, draw_markers, side_px, levels):
+    """(white - black) / white, up to 1/8 less in the median: interpolation adds blur to cells of 2 px."""
     rng = np.random.default_rng([5, int(side_px)])
     matrices, corners, size = grid(place_markers, side_px, rng.uniform(-np.pi, np.pi, 16))
     drawn = draw_markers(matrices, range(16), size, rng, noise=2.0)
@@ -85,7 +80,7 @@ def test_the_print_is_that_of_the_levels_under_any_blur_that_is_known(
     assert 7 / 8 - 0.01 < share < 1.02
 
 
-def test_flat_quadrilaterals_and_none_at_all_are_no_candidates():
+def test_uniform_quadrilaterals_and_none_give_no_candidates():
     flat = np.full((60, 60), 77, np.uint8)
     quad = np.array([[[10.0, 10], [40, 10], [40, 40], [10, 40]]])
     assert not decode_quads(flat, quad, "4X4_50", SIGMA_PX).ids.size
@@ -95,8 +90,8 @@ def test_flat_quadrilaterals_and_none_at_all_are_no_candidates():
 @pytest.mark.parametrize(
     "dictionary", ["4X4_50", pytest.param("5X5_100", marks=pytest.mark.slow), "APRILTAG_36h11"]
 )
-def test_a_mirrored_image_shows_nothing_wrong(place_markers, draw_markers, dictionary):
-    """Of 4X4_50 four are their own mirror images and found as themselves; of the others none is."""
+def test_mirrored_image_gives_no_wrong_id(place_markers, draw_markers, dictionary):
+    """Four markers of 4X4_50 are symmetric and keep their ids. The other dictionaries have no such marker."""
     rng = np.random.default_rng(4)
     ids = np.arange(min(dictionary_size(dictionary), 100))
     side = 5.0 * cells_per_side(dictionary)

@@ -1,4 +1,4 @@
-"""Dark quadrilaterals: found wherever there is a marker, as they lie, and seldom in noise."""
+"""Detection of dark quadrilaterals: recall, corner errors, touching squares, and noise."""
 
 import cv2
 import numpy as np
@@ -14,9 +14,10 @@ ROWS = 4
 
 
 def scene(place_markers, draw_markers, rng, side_px, heading=None, camera=None, noise=5.0, step=None):
-    """An image of 16 markers and their corners (16, 4) as seen; `camera` (3, 3) acts on the flat image.
+    """Return an image of 16 markers and their corners (16, 4), u + iv, px.
 
-    They are `step` px apart, or two sides and 40 px at least.
+    `camera` (3, 3) is a homography of the flat image. The markers are `step` px apart, by default 2.2 sides
+    and at least 40 px.
     """
     step = max(2.2 * side_px, 40.0) if step is None else step
     grid = (np.arange(ROWS) + 0.5)[:, None] + 1j * (np.arange(ROWS) + 0.5)
@@ -33,7 +34,7 @@ def scene(place_markers, draw_markers, rng, side_px, heading=None, camera=None, 
 
 
 def match(quads, corners):
-    """For each marker (N, 4) the errors of the nearest quad's corners (4,), px; infinite if there is none."""
+    """Return the corner errors (N, 4), px, of the quadrilateral nearest to each marker, or infinity."""
     if not len(quads):
         return np.full(corners.shape, np.inf)
     turned = np.concatenate([np.roll(to_complex(quads), turn, axis=1) for turn in range(4)])
@@ -44,10 +45,12 @@ def match(quads, corners):
 
 @pytest.mark.parametrize("heading", HEADINGS.values(), ids=HEADINGS)
 @pytest.mark.parametrize("side_px", [14, 18, 24, 40, 80])
-def test_every_marker_has_a_quad_and_its_corners_are_near(place_markers, draw_markers, side_px, heading):
-    """Near enough for the fit, which takes up two pixels. The root mean square is the rounding of a boundary
-    to whole pixels along each axis, all of one sense on an upright side: at most half a pixel along either,
-    0.7 in all."""
+def test_every_marker_has_a_quad_with_corners_within_2_px(place_markers, draw_markers, side_px, heading):
+    """The fit converges from errors of up to two pixels.
+
+    The RMS limit is the rounding of a boundary to whole pixels. It has the same sign along an upright side:
+    at most half a pixel along each axis, 0.7 px in total.
+    """
     rng = np.random.default_rng([1, side_px])
     errors = []
     for _ in range(3):
@@ -59,8 +62,8 @@ def test_every_marker_has_a_quad_and_its_corners_are_near(place_markers, draw_ma
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_markers_under_perspective_have_quads_too(place_markers, draw_markers, seed):
-    """Tilts of some 20 degrees: a horizon at 800-1600 px, a squeeze of a tenth."""
+def test_markers_under_perspective_have_quads(place_markers, draw_markers, seed):
+    """Tilts of about 20 degrees: a horizon at 800-1600 px, an anisotropy of 0.1."""
     rng = np.random.default_rng([2, seed])
     horizon = np.exp(2j * np.pi * rng.uniform()) / rng.uniform(800, 1600)
     squeeze = 0.1 * np.exp(2j * np.pi * rng.uniform())
@@ -79,9 +82,11 @@ def test_markers_under_perspective_have_quads_too(place_markers, draw_markers, s
 
 
 @pytest.mark.parametrize("side_px", [14, 24, 60])
-def test_beside_known_squares_a_marker_is_found_too(place_markers, draw_markers, side_px):
-    """Of 16 markers, as close as robots may come, all but one are known: that one is found. Of the known ones
-    hardly anything is found again: fewer than half of all quadrilaterals that there are."""
+def test_marker_beside_known_squares_is_found(place_markers, draw_markers, side_px):
+    """15 of 16 markers are known, at the smallest distance of robots; the other marker is found.
+
+    The known markers are mostly excluded: fewer than half of all quadrilaterals are found again.
+    """
     rng = np.random.default_rng([5, side_px])
     image, corners = scene(place_markers, draw_markers, rng, side_px, step=1.6 * side_px)
     all_of_them = len(find_quads(image))
@@ -92,8 +97,8 @@ def test_beside_known_squares_a_marker_is_found_too(place_markers, draw_markers,
 
 
 @pytest.mark.parametrize(("side_px", "light"), [(12, 1.0), (14, 0.5), (30, 0.4)])
-def test_markers_stay_where_only_strong_darkness_is_looked_at(place_markers, draw_markers, side_px, light):
-    """A fortieth of the contrast of markers in full light: those in shade are found as without it."""
+def test_min_darkness_keeps_markers_in_shade(place_markers, draw_markers, side_px, light):
+    """A limit of 1/40 of the contrast in full light does not change the detection of markers in shade."""
     rng = np.random.default_rng([6, side_px])
     drawn, corners = scene(place_markers, draw_markers, rng, side_px, noise=2.0)
     image = np.rint(light * drawn).astype(np.uint8)
@@ -103,8 +108,8 @@ def test_markers_stay_where_only_strong_darkness_is_looked_at(place_markers, dra
     np.testing.assert_array_equal(still, everyone)
 
 
-def test_corners_run_clockwise_as_seen(place_markers, draw_markers):
-    """With v down, the cross product of successive sides is positive all round."""
+def test_corners_run_clockwise_in_the_image(place_markers, draw_markers):
+    """With v down, the cross product of consecutive sides is positive."""
     image, _ = scene(place_markers, draw_markers, np.random.default_rng(3), 25.0)
     quads = to_complex(find_quads(image))
     sides = np.roll(quads, -1, axis=1) - quads
@@ -113,30 +118,30 @@ def test_corners_run_clockwise_as_seen(place_markers, draw_markers):
     assert (np.abs(sides) >= MIN_QUAD_SIDE_PX).all()
 
 
-def test_a_square_in_no_noise_is_found_to_a_fraction_of_a_pixel():
-    """Edges on pixel borders, no blur but the box's: the corners are off by rounding of the corners alone."""
+def test_square_without_noise_has_subpixel_corners():
+    """Edges on pixel borders, blurred by the box filter only: the errors come from rounded corners."""
     image = np.full((80, 80), 220, np.uint8)
     image[20:60, 25:65] = 30
     quads = find_quads(image)
     truth = to_complex(np.array([[24.5, 19.5], [64.5, 19.5], [64.5, 59.5], [24.5, 59.5]]))
     assert match(quads, truth[None]).max() < 0.3
-    # In the image of a quarter of the size a boundary is rounded to four pixels.
+    # In the image of a quarter of the size, a boundary is rounded to four pixels.
     assert all(match(quad[None], truth[None]).max() < 2 * SHRINKS[-1] for quad in quads)
 
 
-def test_light_squares_and_thin_bars_are_none():
+def test_light_squares_and_thin_bars_are_rejected():
     image = np.full((200, 200), 60, np.uint8)
     image[50:100, 50:100] = 230
     inner = find_quads(image)
     assert not any(np.abs(quad - [74.5, 74.5]).max() < 27 for quad in inner)
     image = np.full((200, 200), 220, np.uint8)
-    image[50:60, 20:180] = 30  # 16 to 1: sides may differ threefold
+    image[50:60, 20:180] = 30  # ratio 16; MAX_SIDE_RATIO is 4
     assert not len(find_quads(image))
 
 
 @pytest.mark.parametrize(("noise", "most"), [(2, 0), (10, 0), (30, 3), (60, 14)])
-def test_plain_noise_has_few_quads(noise, most):
-    """In a megapixel: none up to noise 10, some 0.2 and 3 above; the Poisson quantiles of 1e-5 thereof."""
+def test_pure_noise_gives_few_quads(noise, most):
+    """Mean count in a megapixel: 0 up to noise 10, 0.2 at 30, 3 at 60. Limits: Poisson quantiles of 1e-5."""
     rng = np.random.default_rng(noise)
     count = sum(
         len(find_quads(np.clip(rng.normal(128, noise, (500, 500)), 0, 255).astype(np.uint8)))
@@ -146,9 +151,8 @@ def test_plain_noise_has_few_quads(noise, most):
 
 
 @pytest.mark.parametrize(("side_px", "blur_px"), [(30, 0.6), (60, 1.2), (160, 3.0)])
-def test_squares_whose_corners_touch_others_are_parted(side_px, blur_px):
-    """A board of dark squares that meet at their corners, seen through a blur that closes the gaps: each is
-    found, with its corners to within a tenth of a side."""
+def test_squares_that_touch_at_corners_are_separated(side_px, blur_px):
+    """A checkerboard under a blur that joins its squares: all are found, to a tenth of a side."""
     half = side_px // 2
     image = np.full((8 * side_px, 8 * side_px), 220, np.uint8)
     truth = []
@@ -162,7 +166,7 @@ def test_squares_whose_corners_touch_others_are_parted(side_px, blur_px):
 
 
 @pytest.mark.parametrize("bend_px", [0.0, 1e-14, 1e-6, 0.5])
-def test_three_corners_on_a_line_make_no_quadrilateral(bend_px) -> None:
-    """Also where rounding makes them convex: what has no fourth corner has no homography to read cells by."""
+def test_quad_with_three_collinear_corners_is_rejected(bend_px) -> None:
+    """Also if rounding makes it convex: a degenerate quadrilateral has no homography for the cells."""
     corners = np.array([[0, 20, 20 + 20j, 10 + 10j + bend_px * (1j - 1)]])
     assert quads._is_quad(corners, np.array([200.0]), 0.0).tolist() == [bend_px == 0.5]

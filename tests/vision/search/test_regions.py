@@ -1,4 +1,4 @@
-"""Dark regions: places laid side by side show what the whole image shows, and all that markers need."""
+"""Adaptive threshold: the mosaic gives the boundaries of the whole image; density limit and exclusions."""
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ SIZE_PX = (900, 700)
 
 
 def drawn(shapes, noise=3.0, ground=150):
-    """Dark polygons (K, 2) on cards a little larger, on grey, blurred and noisy."""
+    """Return an image of dark polygons (K, 2) on larger light cards, on grey, with blur and noise."""
     image = np.full(SIZE_PX[::-1], ground, np.uint8)
     for scale, grey in ((1.4, 230), (1.0, 30)):
         for corners in shapes:
@@ -25,7 +25,7 @@ def drawn(shapes, noise=3.0, ground=150):
 
 
 def squares(seed, *, count=10):
-    """Squares of 12-40 px, a third of them at the image's border."""
+    """Return the corners of squares of 12-40 px; every third is at the image border."""
     rng = np.random.default_rng(seed)
     corners = []
     for row in range(count):
@@ -39,13 +39,13 @@ def squares(seed, *, count=10):
 
 
 def bars(*, apart):
-    """Two slanting bars side by side: boxes around them overlap."""
+    """Return two parallel slanted bars whose bounding boxes overlap."""
     bar = np.array([[100, 100], [112, 92], [312, 342], [300, 350]], dtype=float)
     return [bar, bar + np.array([apart, 0])]
 
 
 def boundaries_of(image):
-    """Each boundary as a sorted tuple of its points, in an order of their own."""
+    """Return every boundary as a sorted tuple of its points, in sorted order."""
     found = dark_boundaries(dark_regions(crowded_places(image)), MIN_POINTS)
     parts = np.split(found.points, np.cumsum(found.lengths)[:-1]) if found.lengths.size else []
     return sorted(tuple(sorted((z.real, z.imag) for z in part)) for part in parts)
@@ -55,8 +55,8 @@ SCENES = {f"squares {seed}": squares(seed) for seed in range(4)} | {"bars": bars
 
 
 @pytest.mark.parametrize("shapes", SCENES.values(), ids=SCENES)
-def test_places_side_by_side_show_what_the_whole_image_shows(shapes, monkeypatch):
-    """The same boundaries to the pixel: what the boxes of the filters reach is laid out with each place."""
+def test_mosaic_gives_the_boundaries_of_the_whole_image(shapes, monkeypatch):
+    """The boundaries are identical, because the margin of a place covers the reach of the box filters."""
     image = drawn(shapes)
     apart = boundaries_of(image)
     monkeypatch.setattr(regions, "MAX_MOSAIC_SHARE", 0.0)
@@ -64,7 +64,7 @@ def test_places_side_by_side_show_what_the_whole_image_shows(shapes, monkeypatch
     assert apart == boundaries_of(image)
 
 
-def test_too_narrow_a_margin_shows(monkeypatch):
+def test_too_narrow_margin_changes_the_boundaries(monkeypatch):
     """Negative control for the test above."""
     image = drawn(SCENES["squares 1"])
     apart = boundaries_of(image)
@@ -72,14 +72,14 @@ def test_too_narrow_a_margin_shows(monkeypatch):
     assert apart != boundaries_of(image)
 
 
-def test_places_are_laid_out_where_they_are_few_and_the_image_is_taken_whole_where_not():
+def test_few_places_form_a_mosaic_and_many_the_whole_image():
     few, many = drawn(squares(5, count=4)), drawn(squares(6, count=120))
     assert crowded_places(few).image.size < few.size / 4
     assert crowded_places(many).image.shape == many.shape
 
 
-def test_where_only_strong_darkness_counts_texture_is_not_looked_at():
-    """Ground with a texture of 5 grey levels over a few pixels is dark in many places, though by little."""
+def test_min_darkness_excludes_texture():
+    """A texture of 5 grey levels over a few pixels has many slightly dark places."""
     rng = np.random.default_rng(8)
     texture = cv2.GaussianBlur(rng.standard_normal(SIZE_PX[::-1]), (0, 0), 2.0)
     shapes = squares(5, count=4)
@@ -92,24 +92,26 @@ def test_where_only_strong_darkness_counts_texture_is_not_looked_at():
 
 
 @pytest.mark.parametrize("noise", [2.0, 5.0, 10.0])
-def test_noise_alone_is_not_looked_at(noise):
-    """Noise of deviation σ is dark by 0.4 σ on average, to 0.12 σ over 25 pixels: 2.2 times as much is four
-    deviations off, which 3e-5 of them are. Each takes 81 with it: a quarter of a per cent, and that tenfold
-    for what neighbouring pixels have in common."""
+def test_pure_noise_is_below_the_density_limit(noise):
+    """The mean darkness of noise is 0.4 σ, with a standard deviation of 0.12 σ over 25 pixels.
+
+    A factor of 2.2 is four standard deviations, which 3e-5 of the pixels exceed. Dilation multiplies them by
+    81, to 0.25 %. The limit is ten times as much, because neighbouring pixels are correlated.
+    """
     rng = np.random.default_rng(7)
     image = np.clip(np.rint(rng.normal(128, noise, (600, 800))), 0, 255).astype(np.uint8)
     assert (regions._crowded(image, np.zeros((0, 4, 2)), 0.0) > 0).mean() < 0.025
 
 
 @pytest.mark.parametrize("size_px", [(1, 1), (1, 7), (7, 1), (2, 2), (3, 5), (33, 47)])
-def test_any_size_of_image_is_taken(size_px):
-    """A pixel's boundary is too short; an odd last line or column is left out."""
+def test_images_of_any_size_are_accepted(size_px):
+    """The boundary of a pixel is too short. An odd last row or column is ignored."""
     places = crowded_places(np.zeros(size_px[::-1], np.uint8))
     assert places is None or not dark_boundaries(dark_regions(places), MIN_POINTS).lengths.size
 
 
-def test_points_are_where_the_region_is_and_run_anticlockwise_as_seen():
-    """An upright square of 20 px at (300, 200): outermost dark pixels within one of its edges."""
+def test_boundary_lies_on_the_region_and_runs_anticlockwise():
+    """An upright square of 20 px at (300, 200): the outermost dark pixels are within 1 px of its edges."""
     square = np.array([[300, 200], [320, 200], [320, 220], [300, 220]], dtype=float)
     places = crowded_places(drawn([square], noise=0.0, ground=230))
     found = dark_boundaries(dark_regions(places), MIN_POINTS)
@@ -121,13 +123,13 @@ def test_points_are_where_the_region_is_and_run_anticlockwise_as_seen():
 
 
 def middles_of(mosaic):
-    """Mean (B,) of each boundary of the dark regions of places."""
+    """Return the mean (B,) of every boundary in a mosaic, u + iv, px."""
     found = dark_boundaries(dark_regions(mosaic), MIN_POINTS)
     return np.array([part.mean() for part in np.split(found.points, np.cumsum(found.lengths)[:-1])])
 
 
-def test_places_of_known_squares_are_left_out_and_those_beside_them_are_whole():
-    """Of nine squares, some 6 px apart, all but one are known: what is left has all of that one's edge."""
+def test_known_squares_are_excluded_and_neighbours_kept():
+    """Eight of nine squares, 6 px apart, are known: the places contain the whole edge of the ninth."""
     at = np.array([[u, v] for u in (200, 222, 300) for v in (200, 222, 300)], dtype=float)
     shapes = at[:, None] + 8 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     image = drawn(shapes, noise=0.0, ground=230)
@@ -138,8 +140,8 @@ def test_places_of_known_squares_are_left_out_and_those_beside_them_are_whole():
         assert places.image.size < crowded_places(image).image.size
 
 
-def test_enlarged_places_show_the_same_squares_at_twice_the_size():
-    """Middles of the boundaries to half a pixel of the image, in either."""
+def test_enlarged_mosaic_has_the_same_squares():
+    """The means of the boundaries agree to half a pixel of the image in both."""
     shapes = squares(2)
     places = crowded_places(drawn(shapes, noise=0.0))
     in_image = (middles_of(places.enlarged()) + 0.5 + 0.5j) / ENLARGEMENT - 0.5 - 0.5j

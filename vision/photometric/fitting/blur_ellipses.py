@@ -70,14 +70,14 @@ def second_derivative_maps(homographies: LocalHomographies) -> Array:
 
 
 def _moments(homographies: LocalHomographies, streaks: ComplexArray) -> tuple[ComplexArray, Array]:
-    """Half of E z² (N,), and of E |z|² (N,), that streaks Q (N,), px², add in the markers' coordinates."""
+    """Return halves of E z² (N,) and E |z|² (N,) that streaks Q (N,), px², add in marker coordinates."""
     m, k, areas = homographies.arms, homographies.squeezes, homographies.sides_px() ** 2
     squared = (m.conj() ** 2 * streaks + k**2 * streaks.conj()) / areas**2
     return squared, -2 * (m.conj() * k.conj() * streaks).real / areas**2
 
 
 def _table(half_squared: ComplexArray, half_absolute: Array) -> Array:
-    """Variances along x and y, and covariance, (N, 3), of half of E z² and of E |z|²."""
+    """Return variances along x and y, and covariance, (N, 3), of half of E z² and of E |z|²."""
     return np.stack(
         [half_absolute + half_squared.real, half_absolute - half_squared.real, half_squared.imag], axis=1
     )

@@ -102,7 +102,7 @@ def hold_common_unknowns(
 
 
 def _print_inliers(solution: LeastSquaresSolution, right: BoolArray) -> BoolArray:
-    """Which of N fits decide on what all markers of an image share; all of them, if none is `right`.
+    """Return which of N fits decide on what all markers of an image share; all of them, if none is `right`.
 
     Left out is what is not fitted yet, is covered in part, or may be ground that was taken for a marker:
     most ground is paler than a print.
@@ -118,7 +118,7 @@ def _print_inliers(solution: LeastSquaresSolution, right: BoolArray) -> BoolArra
 def _held_at_zero_if_possible(
     solution: LeastSquaresSolution, unknowns: list[int], inliers: BoolArray
 ) -> LeastSquaresSolution:
-    """The solution with `unknowns` held at zero, or as it is if the inliers' pixels speak against it."""
+    """Return the solution with `unknowns` held at zero, or unchanged if the inliers' pixels contradict it."""
     held = solution.constrained(unknowns, np.zeros((inliers.size, len(unknowns))))
     return solution if _tells_more(solution, held, len(unknowns), inliers) else held
 
@@ -141,7 +141,7 @@ def with_common_tone(solution: LeastSquaresSolution, inliers: BoolArray) -> Leas
 def _tells_more(
     solution: LeastSquaresSolution, held: LeastSquaresSolution, unknowns: int, inliers: BoolArray
 ) -> bool:
-    """Whether the pixels of the inliers speak against holding so many unknowns.
+    """Return whether the pixels of the inliers speak against holding so many unknowns.
 
     What it adds to the sum of squares, over the variance of the noise, has a chi-squared of expectation k and
     variance 2 k, with k the number of unknowns; its mean over the inliers decides.
@@ -216,13 +216,13 @@ def on_own_planes(
 def _leans(
     solution: LeastSquaresSolution, start: LocalHomographies, horizons: ComplexArray | complex
 ) -> Array:
-    """Values (N, 2) of the unknowns `LEAN` at which markers have horizons (N,), or one for all, 1/px."""
+    """Return values (N, 2) of the unknowns `LEAN` for horizons (N,), or one for all, 1/px."""
     steps = start.leans_to(np.broadcast_to(np.asarray(horizons, dtype=complex), start.centers.shape))
     return _components(steps) * solution.contrasts()[:, None]
 
 
 def _steps_to(squeezes: ComplexArray, solution: LeastSquaresSolution, start: LocalHomographies) -> Array:
-    """Values (N, 2) of the unknowns `SQUEEZE` at which markers have given squeezes (N,) in image axes."""
+    """Return values (N, 2) of the unknowns `SQUEEZE` for squeezes (N,) in image axes."""
     steps = (squeezes * start.arms.conj() - start.squeezes) / start.arms
     return _components(steps) * solution.contrasts()[:, None]
 
@@ -239,7 +239,7 @@ def _components(steps: ComplexArray) -> Array:
 
 
 def _near(plane: Plane, points: ComplexArray, squeezes: ComplexArray, inliers: BoolArray) -> BoolArray:
-    """Which markers (N,) lie within `NEAR_PLANE` of a plane; none, if that is not most of the inliers."""
+    """Return which markers (N,) lie within `NEAR_PLANE` of a plane; none unless most inliers do."""
     near = np.abs(squeezes - plane.squeezes(points)) < NEAR_PLANE
     enough = max(MIN_MARKERS_ON_PLANE, MIN_SHARE_ON_PLANE * np.count_nonzero(inliers))
     return near & (np.count_nonzero(near & inliers) >= enough)
@@ -252,7 +252,7 @@ def _common_plane(
     inliers: BoolArray,
     fit: Callable[[ComplexArray, ComplexArray, Array], Plane],
 ) -> Plane:
-    """The plane that the inliers lie on, from squeezes (N,) in image axes at image points (N,)."""
+    """Return the plane that the inliers lie on, from squeezes (N,) in image axes at image points (N,)."""
     spread = solution.inverse_normals[:, SQUEEZE, SQUEEZE].mean(axis=1)
     counted = (spread > 0) & (solution.pixels > MIN_PIXELS_FOR_PLANE) & inliers
     spread = np.where(counted, spread, np.inf)

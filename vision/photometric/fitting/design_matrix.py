@@ -219,7 +219,7 @@ class DesignMatrices:
 
 
 def _markers(homographies: LocalHomographies, appearances: MarkerAppearances) -> npt.NDArray[np.void]:
-    """The records (N,), `MARKER`, from which the kernel draws markers.
+    """Return the records (N,), `MARKER`, from which the kernel draws markers.
 
     In the coordinates of a marker that is squeezed by e = k / m, blur that is round in the image has standard
     deviations `σ |1 ∓ e| / sqrt(1 + |e|²)` along x and y, with σ that of their mean variance

@@ -178,7 +178,7 @@ class PixelSamples:
         return ratios, numbers
 
     def _latest_parts(self, rows: IntArray) -> list[DesignMatrices]:
-        """The parts that hold the latest pixels of the markers `rows`, in the order of reading."""
+        """Return the parts that hold the latest pixels of the markers `rows`, in the order of reading."""
         return [self._parts[part] for part in np.unique(self._part_of[rows])]
 
 
@@ -264,7 +264,7 @@ def image_middle(image: Image) -> complex:
 
 
 def _cells_are_right(cell_means: Array, contrasts: Array) -> BoolArray:
-    """Which of N fits leave every cell the colour it should have."""
+    """Return which of N fits leave every cell the colour it should have."""
     return np.asarray(np.abs(cell_means).max(axis=(1, 2)) < OFF_CELL * contrasts)
 
 

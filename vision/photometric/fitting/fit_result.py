@@ -6,6 +6,7 @@ import numpy as np
 
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.dictionary import cells_per_side
+from skyherd.messages import Quality
 from skyherd.vision.photometric.fitting import design_matrix
 from skyherd.vision.photometric.fitting.design_matrix import (
     BLACK,
@@ -44,6 +45,9 @@ class FitResults(RowRecord):
         moved_px: (N,) how far the last step moved the middles of the sides, px.
         variance_ratios: (N, 2) of positions and headings; see `correlated_noise`.
         boxes: (N,) number of boxes that the ratios are of; 0 for a marker without.
+        qualities: (N,) values of `skyherd.messages.Quality`.
+        log_odds: (N,) that it is this marker (`skyherd.vision.photometric.likelihood`); NaN where the fit
+            alone decided.
     """
 
     ids: IntArray
@@ -61,6 +65,8 @@ class FitResults(RowRecord):
     moved_px: Array
     variance_ratios: Array
     boxes: Array
+    qualities: IntArray
+    log_odds: Array
 
     def print_contrasts(self) -> Array:
         """Return the print contrasts (N,), a share of white; see the function of this name."""
@@ -107,6 +113,8 @@ def no_fit_results(dictionary: str) -> FitResults:
         moved_px=empty,
         variance_ratios=np.ones((0, 2)),
         boxes=empty,
+        qualities=np.zeros(0, dtype=np.int64),
+        log_odds=empty,
         **scalars,
     )
 
@@ -153,6 +161,8 @@ def fit_results_of(
         moved_px=moved_px,
         variance_ratios=variance_ratios,
         boxes=boxes,
+        qualities=np.full(ids.size, Quality.PHOTOMETRIC.value),
+        log_odds=np.full(ids.size, np.nan),
     )
 
 

@@ -94,7 +94,7 @@ class LeastSquaresSolution:
         return self._drawn(unknowns, at, np.zeros(len(self.values)), self.free - len(unknowns))
 
     def _drawn(self, unknowns: list[int], at: Array, variances: Array, free: int) -> "LeastSquaresSolution":
-        """The solution with unknowns drawn towards values, by the module's formula, two at a time."""
+        """Return the solution with unknowns drawn towards values, by the module's formula, two at a time."""
         values, inverse_normals, squares = self.values, self.inverse_normals, self.residual_squares
         for begin in range(0, len(unknowns), 2):
             pair = slice(begin, begin + 2)

@@ -19,6 +19,9 @@ import numpy as np
 from skyherd.geometry import Array, ComplexArray, fit_squares, to_complex
 from skyherd.vision.row_record import RowRecord
 
+MIN_AREA_PX2 = 1e-9
+"""Smallest area between diagonals that is divided by, px²; below it the corners are no quadrilateral."""
+
 
 @dataclass(frozen=True)
 class LocalHomographies(RowRecord):
@@ -45,6 +48,31 @@ class LocalHomographies(RowRecord):
         squares = fit_squares(to_complex(corners_px))
         horizons = np.zeros(len(corners_px), dtype=complex)
         return cls(squares.centers, squares.similarities, squares.anisotropies, horizons)
+
+    @classmethod
+    def of_quads(cls, corners_px: Array) -> "LocalHomographies":
+        """Return the homographies that take the square to image corners (N, 4, 2) exactly.
+
+        With `p = (J z) / (1 + g·z)` from the centre, g in marker coordinates, the horizon is `J⁻ᵀ g`.
+        """
+        corners = to_complex(corners_px)
+        first, second, third, fourth = corners.T
+        one, two = third - first, fourth - second
+        area = (one.conj() * two).imag
+        along = ((second - first).conj() * two).imag / np.where(np.abs(area) < MIN_AREA_PX2, np.inf, area)
+        centers = first + along * one
+        # Projective depths of the corners from their distances along the diagonals: 1 ± g·z at opposite ones.
+        near, far = np.abs(centers - first), np.abs(third - centers)
+        left, right = np.abs(centers - second), np.abs(fourth - centers)
+        down, across = (far - near) / (far + near), (right - left) / (right + left)
+        g_x, g_y = -(down - across), -(down + across)
+        weights = np.stack([1 + (-g_x - g_y) / 2, 1 + (g_x - g_y) / 2], axis=1)
+        to_first, to_second = (first - centers) * weights[:, 0], (second - centers) * weights[:, 1]
+        right_axis, down_axis = to_second - to_first, -(to_first + to_second)
+        arms, squeezes = (right_axis - 1j * down_axis) / 2, (right_axis + 1j * down_axis) / 2
+        affine = cls(centers, arms, squeezes, np.zeros(len(corners), dtype=complex))
+        x, y = affine.axes()
+        return replace(affine, horizons=np.asarray(x * g_x + y * g_y))
 
     def moved(
         self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray, lean: ComplexArray
@@ -122,7 +150,7 @@ class LocalHomographies(RowRecord):
 
     @cached_property
     def _areas(self) -> Array:
-        """Areas (N,) of the affine images, `|m|² - |k|²`, px²."""
+        """Return areas (N,) of the affine images, `|m|² - |k|²`, px²."""
         m, k = self.arms, self.squeezes
         return np.asarray(m.real**2 + m.imag**2 - (k.real**2 + k.imag**2))
 

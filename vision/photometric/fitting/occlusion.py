@@ -125,13 +125,13 @@ def _edge_misfits(sigma_px: float | Array) -> Array:
 
 
 def _rounds(contrasts: Array, noise: float) -> int:
-    """Rounds until the limit has fallen to its last value, and `FINAL_ROUNDS` more."""
+    """Return rounds until the limit has fallen to its last value, and `FINAL_ROUNDS` more."""
     falls = np.log(INLIER_SIGMAS * noise / (contrasts.max() / 2)) / np.log(LIMIT_FACTOR)
     return int(np.ceil(max(falls, 0.0))) + FINAL_ROUNDS
 
 
 def _hidden_bits_as_wrong(cell_means: Array, support: Array, contrasts: Array, border: int) -> Array:
-    """Mean residuals (N, n, n), in which a cell with too little support leaves the whole contrast.
+    """Return mean residuals (N, n, n), in which a cell with too little support leaves the whole contrast.
 
     That holds for cells with a bit; hidden cells of the border leave zero.
     """

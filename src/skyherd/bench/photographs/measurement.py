@@ -173,6 +173,7 @@ def _row(image_set: ImageSet, name: str, counts: dict[str, Count], images: int, 
     return {
         "set": image_set.name,
         "dictionary": image_set.dictionary,
+        "half": image_set.model.half or "",
         "detector": name,
         "images": images,
         "confirmed": confirmed,

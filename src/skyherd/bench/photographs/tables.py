@@ -17,7 +17,10 @@ def make_tables(result: PhotographsResult) -> list[Table]:
             "Of the markers that two independent detectors find at the same place: how many a detector "
             "finds. A dash: the detector cannot read this kind of marker.",
             lambda row: f"{row['found']} ({share(row['recall'])})",
-            {"confirmed": lambda row: str(row["confirmed"])},
+            {
+                "half": lambda row: row.get("half") or NONE,
+                "confirmed": lambda row: str(row["confirmed"]),
+            },
         ),
         _by_set(
             result,

@@ -27,7 +27,7 @@ ALLOWED = "/dev/video0, rtsp://…, http://…, udp://…, tcp://…, a video, a
 def open_camera(address: str, *, pace: Pace = "own", clock: Clock = time.monotonic) -> CameraReader:
     """Open a camera and read it in a separate thread. The caller closes the returned reader.
 
-    | address | what it is |
+    | address | source |
     |---|---|
     | `0`, `/dev/video0`, `/dev/video0?size=1280x720&rate=30&format=mjpeg` | a V4L2 device |
     | `rtsp://…`, `http://…`, `https://…`, `udp://…`, `tcp://…` | a stream |

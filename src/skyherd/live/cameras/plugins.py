@@ -25,7 +25,7 @@ class PluginCamera:
         address: `module:factory`, with `=TEXT` for the argument of the factory.
 
     Raises:
-        InputError: there is no such factory.
+        InputError: the factory does not exist.
     """
 
     lasting = True

@@ -176,7 +176,7 @@ def device_of(address: str) -> Stream:
     """Return the V4L2 device `/dev/videoN`, optionally with `?size=…&rate=…&format=…`.
 
     Raises:
-        InputError: there is no such device, or an option is unknown.
+        InputError: the device does not exist, or an option is unknown.
     """
     path, _, query = address.partition("?")
     options = {}

@@ -46,7 +46,7 @@ def open_driver(
 ) -> RobotDriver:
     """Open and return the driver of one robot. The caller closes it, which stops the robot.
 
-    | address | what it is |
+    | address | link |
     |---|---|
     | `ros2://host/robot3/cmd_vel?type=TwistStamped&domain=0` | ROS 2 over Zenoh (`ros2`) |
     | `mqtt://user:password@host/topic`, `mqtts://…` | JSON to an MQTT broker (`mqtt`) |
@@ -61,7 +61,7 @@ def open_driver(
         limits: limits of speed, turn rate and acceleration.
         flies: True for a flying unit.
         rate_hz: rate at which commands are written.
-        hold_s: watchdog time; commands older than this are stale, and zero is sent.
+        hold_s: watchdog time; commands of this age are stale, and zero is sent.
         clock: returns the time, s.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Driver thread of a robot: it repeats the last command while it is fresh, and then sends zero."""
+"""Driver of one robot: a watchdog that repeats the last command while it is fresh, and then sends zero."""
 
 import threading
 import time
@@ -16,43 +16,44 @@ from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
 RATE_HZ = 20.0
-"""Rate at which commands are repeated, 1/s. *Chosen*: robots stop after some tenths of a second without
-one."""
+"""Default rate at which commands are written, Hz. *Chosen*: robots stop after some tenths of a second without
+a command."""
 
 HOLD_S = 0.5
-"""Watchdog time: age at which a command is stale and zero is sent, s. *Chosen*: two or three images of a slow
-camera."""
+"""Default watchdog time: age at which a command is stale and zero is sent, s. *Chosen*: two or three images
+of a slow camera."""
 
 MIN_SHARE = 0.25
-"""Shortest time between two writes, as a share of the usual interval. *Chosen*: new commands are written
-almost at once, and cannot fill a slow link."""
+"""Shortest interval between two writes, as a share of the regular one. After it, a new command is written at
+once. *Chosen*: a caller that sends too often does not fill a slow line."""
 
 STOPS = 3
-"""Number of zeros that `close` writes. *Chosen*: one or two may be lost."""
+"""Number of zero commands that `close` writes. *Chosen*: one or two may get lost."""
 
 CLOSE_S = 2.0
-"""Longest time that `close` waits for the zeros, s. *Chosen*: longer than any link's `write` should take."""
+"""Longest time that `close` waits for the thread, s. *Chosen*: longer than any link's `write` should take."""
 
 
 class RobotDriver:
-    """Driver of one robot: it repeats the last command while it is fresh, and sends zero once it is stale.
+    """Driver of one robot with a watchdog: it repeats the last command while fresh, and then sends zero.
 
-    A separate thread writes at a steady rate, within the limits. `send` stores the command and never blocks.
-    The robot stops if `send` is not called again within `hold_s`.
+    A separate thread writes at a steady rate. `send` only replaces the command, and never blocks. Without
+    further calls the robot stops. The driver limits each motion before it writes it.
 
     Args:
-        link: link that writes motions.
+        link: connection to the robot.
         robot_id: the robot, or the flying unit.
         limits: limits of speed, turn rate and acceleration.
-        flies: True for a flying unit; all written motions are marked with it.
-        rate_hz: rate of writes.
-        hold_s: watchdog time; older commands are stale.
+        flies: True for a flying unit; each written motion carries it.
+        rate_hz: rate at which commands are written.
+        hold_s: watchdog time; commands of this age are stale, and zero is sent.
         clock: returns the time, s.
-        pause: waits for a number of seconds, or until a new command; a real wait if None.
+        pause: waits for a number of seconds, or until a new command; the default wait if None.
 
     Attributes:
-        written: number of attempted writes.
-        failed: number of failed writes.
+        name: name of the link.
+        written: number of attempts to write a motion.
+        failed: number of attempts that failed.
 
     Raises:
         InputError: `rate_hz` or `hold_s` is not above 0.
@@ -86,10 +87,10 @@ class RobotDriver:
         self._thread.start()
 
     def send(self, command: VelocityCommand) -> None:
-        """Set this robot's command from those of a team.
+        """Set the command to this robot's row of a team's command.
 
         Raises:
-            MessageError: the message has no command for this robot.
+            MessageError: the command has no row for this robot.
         """
         row = np.flatnonzero(command.ids == self.robot_id)
         if not row.size:
@@ -99,10 +100,10 @@ class RobotDriver:
         self.send_motion(Motion(command.v_mps[row[0]], command.omega_radps[row[0]]))
 
     def send_flight(self, command: FlightCommand) -> None:
-        """Set the flight command of a unit whose camera looks down, with the top of its image ahead.
+        """Set the command to a flight command. The camera looks down, and the top of its image is ahead.
 
         Raises:
-            InputError: the driver is that of a robot on wheels.
+            InputError: the driver is one of a wheeled robot.
         """
         if not self.flies:
             raise InputError(f"driver {self.name}", "a flight command for wheels", "a driver with flies=True")
@@ -117,18 +118,18 @@ class RobotDriver:
         )
 
     def send_motion(self, motion: Motion) -> None:
-        """Set the motion. It may have arbitrary values, since the limits are applied before each write."""
+        """Set the command to a motion with arbitrary values; the driver limits them before it writes."""
         with self._lock:
             self._wanted, self._sent_s = motion, self._clock()
         self._news.set()
 
     @property
     def trouble(self) -> str | None:
-        """Reason, in one line, why the last write failed; None if it succeeded."""
+        """Reason why the last motion could not be written, in one line; None after a success."""
         return self._trouble
 
     def close(self) -> None:
-        """Send zero and close the link. It may be called repeatedly; nothing is written afterwards."""
+        """Send zero and close the link. Further calls do nothing."""
         self._closing.set()
         self._news.set()
         if self._thread is not threading.current_thread():
@@ -143,7 +144,7 @@ class RobotDriver:
         self.close()
 
     def _run(self) -> None:
-        """Write at a steady rate until closed, and zeros at the end, also after an exception."""
+        """Write at a steady rate until `close`. Zero is written last, also after an error."""
         try:
             while not self._closing.is_set():
                 self._write(self._due())
@@ -154,19 +155,19 @@ class RobotDriver:
             self._link.close()
 
     def _await_news(self, seconds: float) -> None:
-        """Wait for a new command, at least `MIN_SHARE` of `seconds` and at most `seconds`."""
+        """Wait until a new command or the end of a time, but at least for `MIN_SHARE` of the time."""
         if not self._closing.wait(MIN_SHARE * seconds):
             self._news.wait((1 - MIN_SHARE) * seconds)
         self._news.clear()
 
     def _due(self) -> Motion:
-        """Return the motion to write now: the last command, or zero if it is stale."""
+        """Return the last command, or zero if it is stale."""
         with self._lock:
             age_s = self._clock() - self._sent_s
             return self._wanted if 0 <= age_s < self.hold_s else STILL
 
     def _write(self, motion: Motion) -> None:
-        """Write a motion within the limits, and count failures."""
+        """Limit and write a motion. Count failures, and keep the reason of the last one."""
         now_s = self._clock()
         allowed = self._limiter.limit(motion, now_s - self._written_s)
         self._written_s = now_s
@@ -174,7 +175,7 @@ class RobotDriver:
         try:
             self._link.write(replace(allowed, flies=self.flies))
             self._trouble = None
-        except Exception as error:  # A custom link may raise anything, and later zeros must still be tried.
+        except Exception as error:  # A custom link may raise anything, and zero must still be tried.
             self.failed += 1
             words = " ".join(str(getattr(error, "strerror", None) or error).split())
             self._trouble = f"{self.name}: cannot be written to: {words or type(error).__name__}"

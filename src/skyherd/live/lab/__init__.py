@@ -1,4 +1,4 @@
-"""Lab files (`lab.toml`): shape, markers, cameras, robots, radio and limits of a setup."""
+"""Lab files, such as `lab.toml`: shape, markers, cameras, robots, radio and limits of one set-up."""
 
 from skyherd.live.lab.checks import check_drivers
 from skyherd.live.lab.models import LabModel, LabRadio

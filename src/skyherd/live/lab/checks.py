@@ -1,4 +1,4 @@
-"""Checks of a lab file that involve several keys, or names."""
+"""Checks of a lab that the types of its keys leave open: names, addresses, and keys that depend on others."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -12,19 +12,19 @@ from skyherd.text import one_of
 from skyherd.vision import detector_names
 
 Problem = tuple[str, str, str]
-"""Dotted key, the fault of its value, and the allowed values."""
+"""Dotted key, fault of its value, and allowed values."""
 
 
 def check_model(model: LabModel, where: str, origins: Mapping[str, str] | None = None) -> None:
-    """Check the conditions on a lab that its types do not express.
+    """Run all `CHECKS` of a lab, and report their problems together.
 
     Args:
         model: the lab.
-        where: name of the file in error messages.
-        origins: command line options that set values, by dotted key, for error messages.
+        where: the file, or another name for error messages.
+        origins: options that set values, by dotted key, for error messages.
 
     Raises:
-        InputError: a line for each problem: file or option, key, value, and allowed values.
+        InputError: one line per problem: the file or option, the key, the value, and the allowed values.
     """
     problems = [
         InputError(locate(where, key, origins or {}), what, allowed)
@@ -38,16 +38,16 @@ def check_model(model: LabModel, where: str, origins: Mapping[str, str] | None =
 def check_drivers(
     model: LabModel, where: str, *, imports: bool = False, origins: Mapping[str, str] | None = None
 ) -> None:
-    """Check the addresses of all drivers, without hardware and network.
+    """Check the addresses of all drivers, without access to hardware or network.
 
     Args:
         model: the lab.
-        where: name of the file in error messages.
-        imports: also import custom factories, which then must exist on this machine.
-        origins: command line options that set values, by dotted key, for error messages.
+        where: the file, or another name for error messages.
+        imports: also import the factories of custom drivers, which then must exist on this machine.
+        origins: options that set values, by dotted key, for error messages.
 
     Raises:
-        InputError: a line for each invalid address.
+        InputError: one line per invalid address.
     """
     addresses = [(f"robots.{index}", robot.id, robot.driver) for index, robot in enumerate(model.robots)]
     addresses += [
@@ -68,13 +68,13 @@ def check_drivers(
 
 
 def _name_problems(model: LabModel) -> Iterator[Problem]:
-    """Check that topics can contain the team's name."""
+    """Check that the team's name is valid in topics."""
     if not re.fullmatch(TEAM_PATTERN, model.team):
         yield "team", repr(model.team), "1 to 40 letters, digits, _ and -; the first is not -"
 
 
 def _limit_problems(model: LabModel) -> Iterator[Problem]:
-    """Check that goals stay fresh for at least two commands."""
+    """Check that a goal stays fresh for at least two command periods."""
     limits = model.limits
     if limits.goal_timeout_s < 2 * limits.period_s:
         allowed = f"at least two period_s, which is {2 * limits.period_s:g}"
@@ -91,7 +91,7 @@ def _detector_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _robot_problems(model: LabModel) -> Iterator[Problem]:
-    """Check that the dictionary has each robot's marker, and that markers are unique."""
+    """Check that the dictionary contains the robots' markers, and that no two robots share one."""
     dictionary = model.markers.dictionary
     size, seen = dictionary_size(dictionary), set[int]()
     for index, robot in enumerate(model.robots):
@@ -104,7 +104,7 @@ def _robot_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _shape_problems(model: LabModel) -> Iterator[Problem]:
-    """Check that exactly one of `shape` and `points` is given, with a point for each robot."""
+    """Check that exactly one of shape and points is given, and that each robot has a point."""
     shape, robots = model.shape, len(model.robots)
     if (shape.shape is None) == (shape.points is None):
         both = "neither shape nor points" if shape.shape is None else "both shape and points"
@@ -114,7 +114,7 @@ def _shape_problems(model: LabModel) -> Iterator[Problem]:
 
 
 def _body_problems(model: LabModel) -> Iterator[Problem]:
-    """Check obstacles, and that avoidance is consistent with the other keys."""
+    """Check obstacles, and that the settings of avoidance are consistent with the other keys."""
     avoidance, dictionary = model.avoidance, model.markers.dictionary
     ids = [robot.id for robot in model.robots]
     try:

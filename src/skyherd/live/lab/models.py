@@ -1,4 +1,4 @@
-"""Keys of a lab file with their ranges; `checks` has the conditions on several keys."""
+"""Keys of a lab file with their types and ranges. `skyherd.live.lab.checks` has the other checks."""
 
 import ipaddress
 from typing import Annotated
@@ -19,21 +19,21 @@ from skyherd.datasets import (
 from skyherd.errors import InputError
 
 MAX_ROBOTS = 1000
-"""Maximum number of robots of a lab. Chosen: each is a process and a radio peer."""
+"""Largest number of robots of a lab. Chosen: each is a process and a radio peer."""
 
 Seconds = Annotated[FiniteFloat, Field(ge=0.001, le=3600)]
-"""Time span, s."""
+"""A time span, s."""
 
 Speed = Annotated[FiniteFloat, Field(gt=0, le=20)]
-"""Limit of a robot's speed or acceleration. The range is chosen: beyond any indoor robot, so that a misplaced
-decimal point is refused."""
+"""Limit of a robot's speed or acceleration, in SI units. The range is chosen: it exceeds any indoor robot,
+and rejects a misplaced decimal point."""
 
 Text = Annotated[str, Field(min_length=1, max_length=300)]
-"""Name or address."""
+"""A name or an address."""
 
 TEAM_PATTERN = r"^\w[\w-]{0,39}$"
-"""Pattern of team names, in JSON schema syntax. *Chosen*: the name is part of the radio's topics, in which
-slashes and stars have a meaning."""
+"""Regular expression of a team's name, also in the JSON schema. *Chosen*: the name is part of the radio's
+topics, where slashes and stars are special characters."""
 
 
 class LabShape(Model):
@@ -104,7 +104,7 @@ class LabControl(Model):
 
 
 class LabLimits(Model):
-    """Speed limits and watchdog timeouts of the robots, enforced for any input."""
+    """Limits of the robots' motions, of the age of goals, and of clock errors. They hold for any message."""
 
     max_speed_mps: Speed = Field(0.2, description="m/s; limit on |v|")
     max_turn_radps: Speed = Field(1.5, description="rad/s; limit on |omega|")
@@ -124,11 +124,11 @@ class LabLimits(Model):
 
 
 TLS_PROTOCOLS = ("tls/", "quic/")
-"""Beginnings of Zenoh addresses whose connections use TLS. Defined by Zenoh."""
+"""Prefixes of Zenoh locators whose connections use TLS. Defined by Zenoh."""
 
 
 class LabAvoidance(AvoidanceModel):
-    """Collision avoidance of robots and obstacles."""
+    """Collision avoidance among robots, and with obstacles."""
 
     body_radius_sides: Annotated[FiniteFloat, Field(ge=0, le=1000)] = Field(
         0.0, description="marker sides; radius of the robots' round bodies; above 0 if avoidance is on"
@@ -139,7 +139,7 @@ class LabAvoidance(AvoidanceModel):
 
 
 class LabRadio(Model):
-    """Radio addresses and certificates of the processes."""
+    """Zenoh endpoints and certificates by which the processes connect."""
 
     listen: list[Text] = Field(
         ["tcp/127.0.0.1:7450"],
@@ -153,12 +153,12 @@ class LabRadio(Model):
 
     @property
     def is_loopback(self) -> bool:
-        """True if all addresses are on loopback."""
+        """True if all endpoints are on loopback, so that only this machine has access."""
         return all(_is_loopback(place) for place in (*self.listen, *self.connect))
 
     @property
     def is_secured(self) -> bool:
-        """True if each address beyond loopback uses TLS with client certificates."""
+        """True if every endpoint is on loopback, or uses TLS with client certificates."""
         return all(
             _is_loopback(place) or (place.startswith(TLS_PROTOCOLS) and self.has_certificates)
             for place in (*self.listen, *self.connect)
@@ -171,15 +171,18 @@ class LabRadio(Model):
 
     @property
     def plain_places(self) -> list[str]:
-        """Addresses to listen on or connect to without TLS."""
+        """Endpoints to listen on or connect to without TLS."""
         return [place for place in (*self.listen, *self.connect) if not place.startswith(TLS_PROTOCOLS)]
 
     def check(self, *, insecure: bool) -> None:
-        """Refuse a radio that other machines could use without certificates, unless `insecure` is True.
+        """Refuse a radio to which other machines have access without client certificates.
+
+        Args:
+            insecure: True allows it.
 
         Raises:
-            InputError: an address beyond loopback has no TLS with client certificates. Or certificates are
-                given, and an address is plain or a file for TLS is missing.
+            InputError: an endpoint beyond loopback lacks TLS with client certificates; or an endpoint has no
+                TLS although certificates are given; or some files for TLS are missing.
         """
         if insecure:
             return
@@ -203,7 +206,7 @@ class LabRadio(Model):
 
 
 class LabRecording(Model):
-    """Recording of images for viewers, in addition to messages and decisions."""
+    """Images that units record for viewers, in addition to messages and decisions."""
 
     image_rate_hz: Annotated[FiniteFloat, Field(ge=0, le=60)] = Field(
         1.0, description="1/s; rate of images with their detections; 0 for none"
@@ -214,7 +217,7 @@ class LabRecording(Model):
 
 
 def _is_loopback(place: str) -> bool:
-    """Return whether a Zenoh locator, such as `tcp/127.0.0.1:7450`, is on loopback."""
+    """Return whether a Zenoh locator such as `tcp/127.0.0.1:7450` is on loopback."""
     host = place.partition("/")[2].rpartition(":")[0].strip("[]")
     if host == "localhost":
         return True
@@ -225,7 +228,7 @@ def _is_loopback(place: str) -> bool:
 
 
 class LabModel(Model):
-    """Lab file."""
+    """Content of a lab file."""
 
     team: str = Field(
         description="name of the team; messages of another one are refused",

@@ -1,4 +1,4 @@
-"""Reading and checking of lab files, with settings from the command line."""
+"""Reading and validation of lab files, with settings from the command line."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -25,28 +25,28 @@ from skyherd.live.lab.set_up import Lab
 
 
 def lab_names() -> list[str]:
-    """Return the names of the examples."""
+    """Return the names of the built-in labs."""
     return built_in_names(LAB.package)
 
 
 def lab_text(name: str) -> str:
-    """Return the TOML text of an example.
+    """Return the TOML text of a built-in lab.
 
     Raises:
-        InputError: no example has that name.
+        InputError: no built-in lab has this name.
     """
     return source_text(name, LAB)
 
 
 def load_lab(name_or_file: str, settings: Iterable[str] = ()) -> Lab:
-    """Read and check a lab file, or an example by its name.
+    """Read and check a lab file or a built-in lab.
 
     Args:
-        name_or_file: a TOML file, or the name of an example.
-        settings: `key=value` texts that override it, such as `limits.max_speed_mps=0.1`.
+        name_or_file: a TOML file, or the name of a built-in lab.
+        settings: `key=value` texts that override the file, such as `limits.max_speed_mps=0.1`.
 
     Raises:
-        InputError: a line for each problem: file or option, key, value, and allowed values.
+        InputError: one line per problem: the file or option, the key, the value, and the allowed values.
     """
     source = read_source(name_or_file, LAB)
     origins = apply_settings(source.tree, settings, "control.k=0.2", LAB.schema)
@@ -61,17 +61,17 @@ def make_lab(
     origins: Mapping[str, str] | None = None,
     drivers: bool = False,
 ) -> Lab:
-    """Check a tree of plain values, and return the lab.
+    """Return the checked lab of a tree of plain values.
 
     Args:
         tree: dictionaries, lists and plain values, as in a TOML file.
         where: name of the lab in error messages.
-        folder: folder to which files are relative; the working folder if None.
-        origins: command line options that set values, by dotted key, for error messages.
-        drivers: also check the addresses of the drivers.
+        folder: folder to which file names are relative; the working folder if None.
+        origins: options that set values, by dotted key, for error messages.
+        drivers: True to check the addresses of the drivers too.
 
     Raises:
-        InputError: a line for each problem: key, value, and allowed values.
+        InputError: one line per problem: the key, the value, and the allowed values.
     """
     origins = origins or {}
     model = check_tree(LabModel, tree, where, see=LAB.schema, origins=origins)
@@ -91,7 +91,7 @@ def make_lab(
 
 
 def _template(model: LabModel, where: str, origins: Mapping[str, str]) -> Template | None:
-    """Return the shape with points in map orientation; None if `check_model` refuses it."""
+    """Return the shape with points in map orientation, or None if `check_model` refuses it."""
     ids, points = [robot.id for robot in model.robots], model.shape.points
     if len(set(ids)) < len(ids) or (model.shape.shape is None) == (points is None):
         return None
@@ -101,7 +101,7 @@ def _template(model: LabModel, where: str, origins: Mapping[str, str]) -> Templa
         if points is not None:
             return Template(np.array(ids), np.array([complex(x, y) for x, y in points]).conj())
         return Template(np.array(ids), to_complex(shape_points(str(model.shape.shape), len(ids))).conj())
-    except InputError as error:  # It names the key of scenarios.
+    except InputError as error:  # The error names the key of scenarios; labs have another.
         key = "shape.shape" if points is None else "shape.points"
         raise InputError(locate(where, key, origins), error.what, error.allowed) from None
     except DegenerateSetError as error:

@@ -1,4 +1,4 @@
-"""Checked lab, and factories of its units and robots."""
+"""A checked lab, which makes the cores of its unit and robot processes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,18 +33,18 @@ from skyherd.live.unit_core import UnitCore
 from skyherd.sim.robot_teams import Timing, make_avoidance_rule
 
 NOMINAL_AGE_SHARE = 0.5
-"""Image age at which robots are fastest, as a share of `goal_timeout_s`. Chosen: a typical age. It does not
-affect safety."""
+"""Image age for which avoidance allows the fastest approach, as a share of `goal_timeout_s`. Chosen: a
+typical age. It does not affect safety."""
 
 
 @dataclass(frozen=True)
 class Lab:
-    """Checked lab.
+    """A checked lab.
 
     Attributes:
         model: content of the file.
-        template: shape, with a point for each robot.
-        folder: folder to which files are relative.
+        template: the shape, with a point for each robot.
+        folder: folder to which file names are relative.
     """
 
     model: LabModel
@@ -53,14 +53,14 @@ class Lab:
 
     @property
     def ids(self) -> list[int]:
-        """Markers of the robots, ascending."""
+        """Marker ids of the robots, ascending."""
         return sorted(robot.id for robot in self.model.robots)
 
     def robot(self, robot_id: int) -> LabRobot:
-        """Return the entry of one robot.
+        """Return the entry of the robot with a marker id.
 
         Raises:
-            InputError: the lab has no robot with this marker.
+            InputError: no robot has this marker.
         """
         for robot in self.model.robots:
             if robot.id == robot_id:
@@ -68,10 +68,10 @@ class Lab:
         raise InputError("robot", f"no robot {robot_id} in this lab", f"one of {self.ids}")
 
     def camera(self, unit: int) -> LabCamera:
-        """Return the entry of one unit.
+        """Return the entry of the unit with a number from 0.
 
         Raises:
-            InputError: the lab has no unit of this number.
+            InputError: no unit has this number.
         """
         if not 0 <= unit < len(self.model.cameras):
             raise InputError("unit", f"no unit {unit} in this lab", f"0 to {len(self.model.cameras) - 1}")
@@ -90,7 +90,7 @@ class Lab:
             self.robot(int(number))
 
     def make_controller(self, unit: int) -> AerialController:
-        """Return the controller of one unit: the simulator's, with the settings of the file."""
+        """Return the controller of one unit: the simulator's, with the settings of the lab."""
         model = self.model
         flight = self.camera(unit).flight
         return AerialController(
@@ -107,10 +107,10 @@ class Lab:
         )
 
     def make_unit(self, unit: int) -> UnitCore:
-        """Return the decision logic of one unit.
+        """Return the core of one unit: its decisions without I/O.
 
         Raises:
-            InputError: the lab has no unit of this number.
+            InputError: no unit has this number.
         """
         return UnitCore(
             unit,
@@ -121,7 +121,7 @@ class Lab:
 
     @property
     def body_ids(self) -> list[int]:
-        """Markers of robots and obstacles, ascending."""
+        """Marker ids of robots and obstacles, ascending."""
         return sorted({*self.ids, *(obstacle.id for obstacle in self.model.obstacles)})
 
     @property
@@ -132,11 +132,11 @@ class Lab:
 
     @property
     def command_life_s(self) -> float:
-        """Longest time for which a robot obeys a command without a new decision.
+        """Longest time for which a robot follows a command without a new decision, s.
 
-        A robot's process may stop right before its next decision. The command is stale in the driver after
-        `HOLD_S`, and the driver's next write is zero. If the driver stops as well, the robot's own watchdog,
-        of at most `HOLD_S`, ends the last command.
+        A robot's process may stop right before its next decision. The driver's watchdog expires `HOLD_S`
+        later, and the next write sends zero. If the driver stops too, the robot's own watchdog ends the last
+        written command, after `HOLD_S` at most.
         """
         return HOLD_S + max(1 / RATE_HZ, self.model.limits.period_s)
 
@@ -165,13 +165,13 @@ class Lab:
 
     @property
     def clock_limits(self) -> ClockLimits:
-        """Limits of trust in another process's clock."""
+        """Limits beyond which another process's clock is not trusted."""
         limits = self.model.limits
         return ClockLimits(limits.clock_offset_s, limits.clock_uncertainty_s)
 
     @property
     def speed_limits(self) -> SpeedLimits:
-        """Limits of a robot's commands."""
+        """Limits of a robot's speeds and accelerations."""
         limits = self.model.limits
         return SpeedLimits(
             limits.max_speed_mps,
@@ -181,10 +181,10 @@ class Lab:
         )
 
     def make_robot(self, robot_id: int) -> RobotCore:
-        """Return the decision logic of one robot.
+        """Return the core of one robot: its decisions without I/O.
 
         Raises:
-            InputError: the lab has no robot with this marker.
+            InputError: no robot has this marker.
         """
         self.robot(robot_id)
         control, limits = self.model.control, self.model.limits

@@ -4,7 +4,7 @@ The file has all inputs in their order, so that `skyherd.live.logs.replay` repro
 
     /about       twice at the beginning: process name, validated lab, versions and topics
     /heard       a received message: envelope and time of arrival
-    /detections  unit: the markers detected in an image, and the time of the decision on them
+    /detections  unit: detected markers of an image, and the time of the decision on them
     /heartbeat   time of a heartbeat, and counts of refused and dropped messages
     /decide      robot: a decision with its time, wheel command and arm state
     /sent        unit: the messages sent after an image

@@ -46,7 +46,7 @@ class ProcessLogFile:
         ended: whether the process ended in order.
 
     Raises:
-        InputError: there is no such file, or it has no readable record of a live process.
+        InputError: the file does not exist, or has no readable record of a live process.
     """
 
     def __init__(self, path: Path) -> None:
@@ -103,7 +103,7 @@ def read_process_log(path: Path) -> Iterator[tuple[str, Any]]:
     """Yield topic and content of a process's records, up to the first missing one.
 
     Raises:
-        InputError: there is no such file, or it has no readable record of a live process.
+        InputError: the file does not exist, or has no readable record of a live process.
     """
     for expected, entry in enumerate(ProcessLogFile(path).entries()):
         if entry.number != expected:

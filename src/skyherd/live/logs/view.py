@@ -22,8 +22,8 @@ class View:
         captured_s: time of capture on the unit's clock.
         ids: (N,) robots with a goal.
         goals_px: (N, 2) positions of their goals, px of the camera's image.
-        shape_error: RMS distance of the robots to the best-fitting similarity of the shape, over their RMS
-            radius. The unit estimates the ground positions. NaN with fewer than three robots.
+        shape_error: RMS distance of the robots to the best-fitting similarity of the shape, divided by their
+            RMS radius. The unit estimates both on the ground. NaN with fewer than three robots.
         robots: number of robots of the shape in the image.
     """
 

@@ -238,7 +238,7 @@ def read_history(path: Path) -> ProcessHistory:
     """Read the recording of a live process, as far as possible. Its `flaws` describe damages.
 
     Raises:
-        InputError: there is no such file, or it has no readable record of a live process.
+        InputError: the file does not exist, or has no readable record of a live process.
     """
     process_log = ProcessLogFile(path)
     log: ProcessHistory | None = None

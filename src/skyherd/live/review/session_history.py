@@ -62,7 +62,7 @@ class SessionHistory:
                 yield from logs
 
     def first_units(self) -> Iterator[ProcessHistory]:
-        """Return the first recording of each unit."""
+        """Yield the first recording of each unit."""
         return (logs[0] for logs in self.runs.values() if logs[0].is_unit)
 
     @property
@@ -102,7 +102,7 @@ def read_session(folder: Path, progress: Progress = NO_PROGRESS) -> SessionHisto
     """Read all recordings of a live run, as far as possible.
 
     Raises:
-        InputError: there are none, or none is readable.
+        InputError: the folder has no readable recording.
     """
     paths = recorded_files(folder)
     if not paths:

@@ -1,8 +1,8 @@
-"""Simulated world as a separate process, which replaces the hardware.
+"""Simulated world as a separate process, which replaces the hardware of a lab.
 
-It renders the image of each camera and streams it as H.264 in FLV over TCP to all clients. Commands from the
-radio move its robots and units. Wheels stop if no command arrives for `HOLD_S`, like those of a robot with a
-watchdog. Only this process knows the ground truth, and records it.
+It renders the images of all cameras and streams each as H.264 in FLV over TCP, to one viewer at a time.
+Robots and units follow commands from the radio. Wheels have a watchdog like real robots: they stop `HOLD_S`
+after the last command. Only this process knows the ground truth, and records it.
 """
 
 import math
@@ -29,27 +29,26 @@ from skyherd.sim.physics import make_world
 from skyherd.sim.truth_metrics import TruthObserver
 
 HOLD_S = 0.5
-"""Watchdog time of the wheels: age of a command above which they stop, s of real time. Chosen: as in
-`skyherd.live.drivers`."""
+"""Watchdog time of the wheels, s of real time. Chosen: the one of `skyherd.live.drivers`."""
 
 FIRST_PORT = 7461
-"""TCP port of the first camera. Chosen: near the radio's."""
+"""TCP port of the first camera. Chosen: close to the radio's."""
 
 TOPICS: dict[str, Schema] = {
     "/scenario": ("skyherd.WorldScenario", {"type": "object"}),
     "/truth": ("skyherd.WorldTruth", {"type": "object"}),
 }
-"""Recorded topics: the scenario, and the poses and wheel commands of each step."""
+"""Topics of the recording: the scenario, and for each step positions, headings and wheel commands."""
 
 
 @dataclass
 class WheelState:
-    """Last wheel command of one robot.
+    """Last command to the wheels of one robot.
 
     Attributes:
-        v_mps: speed, m/s of real time.
-        omega_radps: turn rate, rad/s of real time.
-        told_s: time of its arrival on the world's clock; -inf without a command.
+        v_mps: speed, m per second of real time.
+        omega_radps: turn rate, rad per second of real time.
+        told_s: time of its arrival, on the world's clock; -inf without a command.
     """
 
     v_mps: float = 0.0
@@ -59,16 +58,16 @@ class WheelState:
 
 @dataclass
 class WorldProcess:
-    """Simulated world of a mission, advanced in time steps, with radio and camera streams.
+    """World of a mission: it receives commands, advances in time steps, and shows pictures on its streams.
 
     Attributes:
         mission: the simulated mission.
         speed: seconds of the scenario per second of real time.
-        clock: returns the time, s, with which wheel commands are stamped.
-        mailbox: received commands.
-        path: file for the recording of the ground truth; None for none.
-        streams: camera streams, by unit.
-        wheels: last wheel command of each robot, by id.
+        clock: returns the time by which commands age, s.
+        mailbox: received messages.
+        path: file of the recorded ground truth; None for no recording.
+        streams: streams of the cameras, by unit; further cameras are not rendered.
+        wheels: last wheel command of each robot, by marker id.
     """
 
     mission: Mission
@@ -99,7 +98,7 @@ class WorldProcess:
         return self._time_s
 
     def hear(self) -> None:
-        """Process the commands that have arrived from the radio."""
+        """Process the received wheel and flight commands."""
         for arrival in self.mailbox.fetch():
             message = arrival.envelope.message
             if isinstance(message, Wheels) and message.robot_id in self.wheels:
@@ -109,7 +108,7 @@ class WorldProcess:
                 self._world.fly(self._slowed(message))
 
     def step(self) -> float:
-        """Render due images, advance by a time step, and return the shape error before the step."""
+        """Show the pictures that are due, advance by a time step, and return the shape error before it."""
         scenario, now_s = self.mission.scenario, self.clock()
         self._begun_s = now_s if self._begun_s is None else self._begun_s
         for unit, model in enumerate(scenario.units):
@@ -130,7 +129,7 @@ class WorldProcess:
         return float(metrics.shape.error)
 
     def close(self) -> None:
-        """Finish the recording, and close the streams."""
+        """Finish the recording and end the streams."""
         if self._log is not None:
             self._log.close()
         for stream in self.streams:
@@ -152,7 +151,7 @@ class WorldProcess:
         )
 
     def _slowed(self, command: FlightCommand) -> FlightCommand:
-        """Convert a flight command from rates in real time to rates in scenario time."""
+        """Return a flight command whose rates are per second of the scenario."""
         share = 1 / self.speed
         return replace(
             command,
@@ -197,18 +196,19 @@ def run_world(
     tell: Callable[[str], None] = lambda line: None,
     ended: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Run a world for the scenario's duration, in real time or slower.
+    """Run the world of a mission for the scenario's duration, at a multiple of real time.
 
-    Each step lasts `step_s / speed`. A step that takes longer is late. The number of late steps is reported.
+    Each step takes `step_s / speed` of real time. On a slower machine the world falls behind, and reports the
+    number of late steps.
 
     Args:
         mission: the simulated mission.
-        radio: radio that receives the commands.
-        team: name of the team whose commands are obeyed.
+        radio: radio of the commands.
+        team: team whose commands the world follows.
         speed: seconds of the scenario per second of real time.
-        path: file for the recording of the ground truth; None for none.
-        first_port: TCP port of the first camera; the others follow.
-        tell: called with each line of the report.
+        path: file of the recorded ground truth; None for no recording.
+        first_port: TCP port of the first camera; further cameras use the next ports.
+        tell: called with each status line.
         ended: called before each step; True ends the world.
     """
     clock = LiveClock()

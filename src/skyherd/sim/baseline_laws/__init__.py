@@ -1,14 +1,14 @@
-"""Formation control laws from the literature, for comparison; each is given the true positions it needs.
+"""Formation control laws from the literature, for comparison; they receive true positions.
 
-Robots are single integrators here, at positions z (N,), complex, m, on the ground. A law is a function from
-positions to wanted velocities, made of the shape (N,) and of a rate k, 1/s. Gains are normalised such that at
-the shape the fastest mode decays at the rate k, as it does under one unit's goals
-(`skyherd.control.topology.convergence_rate`): at one k all laws are equally far from instability in discrete
-time.
+Robots are single integrators with complex positions z (N,), m, on the ground. A law is a function from
+positions to velocities. Its parameters are the shape (N,) and a rate k, 1/s. Gains are normalised: at the
+shape, the fastest mode decays at the rate k, as with one unit's goals
+(`skyherd.control.topology.convergence_rate`). For equal k, all laws therefore have the same distance from
+instability in discrete time.
 
-One file a family: `laplacians.py` (complex and matrix-weighted Laplacians), `affine.py` (laws whose aim is an
-affine image of the shape), `bearings.py` (with and without ranges), `distances.py` (rigid frameworks).
-`graphs.py` has who is whose neighbour, which the papers leave open; `registry.py` the laws by name.
+Each family has one file: `laplacians.py` (complex and matrix-weighted Laplacians), `affine.py` (affine
+formations), `bearings.py` (with and without ranges), `distances.py` (rigid frameworks). `graphs.py` contains
+the choice of neighbours, which the papers leave open, and `registry.py` the laws by name.
 """
 
 from skyherd.sim.baseline_laws.graphs import Law

@@ -1,4 +1,4 @@
-"""Laws for shapes that are given by the bearings of neighbours, in a frame that all robots have in common."""
+"""Bearing-based laws, in a frame whose orientation all robots share."""
 
 import numpy as np
 
@@ -7,19 +7,18 @@ from skyherd.sim.baseline_laws.graphs import Law, bearings, neighbors, pull_toge
 
 
 def bearing_only_law(shape: ComplexArray, gain_ps: float) -> Law:
-    """The law `u_i = -m Σ_j (I - g_ij g_ijᵀ) g*_ij`, with bearings `g_ij = (z_j - z_i) / |z_j - z_i|`.
+    """Return the law `u_i = -m Σ_j (I - g_ij g_ijᵀ) g*_ij`, with `g_ij = (z_j - z_i) / |z_j - z_i|`.
 
-    From Zhao and Zelazo (Zhao-Zelazo 2016); g* are the bearings in the shape. Each robot needs the bearings
-    of its neighbours in a frame whose orientation all have in common. The rotation of the shape is given; the
-    robots' centroid and RMS distance from it stay what they were at the start. The gain m, m/s, follows from
-    the size that the shape will have, which is known from the start.
+    From Zhao and Zelazo (Zhao-Zelazo 2016); g are the bearings, and g* those in the shape. Each robot needs
+    the bearings of its neighbours in a frame of common orientation. The rotation of the shape is fixed. The
+    robots' centroid and RMS distance from it are invariant. The gain m, m/s, follows from this distance.
 
     Args:
-        shape: (N,) points that the robots are to form, in the common frame.
+        shape: (N,) points of the desired shape, in the common frame.
         gain_ps: rate k, 1/s.
 
     Raises:
-        InputError: the points lie in a line.
+        InputError: the points are collinear.
     """
     first, second = neighbors(shape).T
     desired, apart = bearings(shape, first, second), np.abs(shape[second] - shape[first]) / spread(shape)
@@ -35,19 +34,19 @@ def bearing_only_law(shape: ComplexArray, gain_ps: float) -> Law:
 
 
 def bearings_with_ranges_law(shape: ComplexArray, gain_ps: float) -> Law:
-    """The law `u_i = -m Σ_j (I - g*_ij g*_ijᵀ) (z_i - z_j)`: neighbours are pulled onto their bearings.
+    """Return the law `u_i = -m Σ_j (I - g*_ij g*_ijᵀ) (z_i - z_j)`, which corrects errors across bearings.
 
     From Zhao and Zelazo (Zhao-Zelazo 2017), without leaders. The matrix is their bearing Laplacian, the
-    best-known matrix-weighted one. Each robot needs the bearings *and ranges* of its neighbours in a frame
-    whose orientation all have in common. The rotation of the shape is given, its size and place are free:
-    the law is linear, and takes the robots to the nearest point of its kernel, by least squares.
+    best-known matrix-weighted Laplacian. Each robot needs the bearings *and ranges* of its neighbours in a
+    frame of common orientation. The rotation of the shape is fixed; its size and place are free. The law is
+    linear. It moves the robots to the nearest point of its kernel, in the least-squares sense.
 
     Args:
-        shape: (N,) points that the robots are to form, in the common frame.
+        shape: (N,) points of the desired shape, in the common frame.
         gain_ps: rate k, 1/s.
 
     Raises:
-        InputError: the points lie in a line.
+        InputError: the points are collinear.
     """
     first, second = neighbors(shape).T
     across = 1j * bearings(shape, first, second)

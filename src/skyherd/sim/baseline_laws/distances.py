@@ -1,4 +1,4 @@
-"""The law for shapes that are given by the distances of neighbours: rigid frameworks, of a fixed size."""
+"""Distance-based law: rigid frameworks of a fixed size."""
 
 import numpy as np
 
@@ -7,19 +7,19 @@ from skyherd.sim.baseline_laws.graphs import Law, neighbors, pull_together, stif
 
 
 def distance_law(shape: ComplexArray, gain_ps: float) -> Law:
-    """The law `u_i = -m Σ_j (|z_i - z_j|² - d_ij²) (z_i - z_j)`, with the distances d of the shape.
+    """Return the law `u_i = -m Σ_j (|z_i - z_j|² - d_ij²) (z_i - z_j)`, with the shape's distances d.
 
     From Krick, Broucke and Francis (Krick 2009): the gradient of `Σ (|z_i - z_j|² - d_ij²)² / 4`. Each robot
-    needs the positions of its neighbours relative to its own, in its own frame, and all know the size of the
-    shape. Place and rotation are free, and so is the handedness: the mirrored shape is an equilibrium too.
-    Convergence is proven from near the shape alone.
+    needs the relative positions of its neighbours in its own frame, and the size of the shape. Place and
+    rotation are free. The handedness is free as well: the mirrored shape is another equilibrium. Only local
+    convergence is proven.
 
     Args:
-        shape: (N,) points that the robots are to form, m.
+        shape: (N,) points of the desired shape, m.
         gain_ps: rate k, 1/s.
 
     Raises:
-        InputError: the points lie in a line.
+        InputError: the points are collinear.
     """
     first, second = neighbors(shape).T
     apart = shape[second] - shape[first]

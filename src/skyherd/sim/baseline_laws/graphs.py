@@ -1,4 +1,4 @@
-"""Who is whose neighbour in a shape, and what laws of several families compute of neighbours."""
+"""Neighbour graphs of a shape, and computations shared by the families of laws."""
 
 from collections.abc import Callable
 from itertools import permutations
@@ -10,24 +10,23 @@ from skyherd.errors import InputError
 from skyherd.geometry import ComplexArray, IntArray
 
 Law = Callable[[ComplexArray], ComplexArray]
-"""A law: velocities (N,), m/s, of robots at positions (N,), m, both complex in the ground frame."""
+"""Law: velocities (N,), m/s, of robots at positions (N,), m, both complex in the ground frame."""
 
 MIN_DISTANCE_M = 1e-12
-"""Distances are divided by at least this, m. Chosen: robots nearer than that are in one place; their bearing
-is then 0 instead of 0 / 0."""
+"""Minimum divisor of distances, m. Chosen: it gives coincident robots a bearing of 0 instead of 0 / 0."""
 
 
 MIN_HEIGHT = 1e-6
-"""Triangles that are lower than this share of their longest side are left out. Chosen: far above the rounding
-of coordinates, 1e-16, by which points along a line make triangles, and far below the triangles of any shape
-that robots with bodies could form."""
+"""Minimum height of a triangle, as a share of its longest side. Chosen: far above the rounding of
+coordinates, 1e-16, which makes triangles of collinear points, and far below the triangles of any shape of
+robots with bodies."""
 
 
 def triangles(shape: ComplexArray) -> IntArray:
-    """Corners (T, 3) of the Delaunay triangles of a shape (N,), but for those that are flat by rounding.
+    """Return the corners (T, 3) of the Delaunay triangles of a shape (N,), without degenerate ones.
 
     Raises:
-        InputError: the points lie in a line.
+        InputError: the points are collinear.
     """
     try:
         corners = np.asarray(Delaunay(np.column_stack([shape.real, shape.imag])).simplices, dtype=np.int64)
@@ -44,10 +43,10 @@ def triangles(shape: ComplexArray) -> IntArray:
 
 
 def neighbors(shape: ComplexArray) -> IntArray:
-    """Pairs (E, 2) of points of a shape (N,) that its Delaunay triangulation joins, each once.
+    """Return the edges (E, 2) of the Delaunay triangulation of a shape (N,), each once.
 
     Raises:
-        InputError: the points lie in a line.
+        InputError: the points are collinear.
     """
     corners = triangles(shape)
     sides = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
@@ -55,14 +54,14 @@ def neighbors(shape: ComplexArray) -> IntArray:
 
 
 def modules(shape: ComplexArray) -> IntArray:
-    """Groups of four points (M, 4): two Delaunay triangles that share a side make one.
+    """Return groups of four points (M, 4): two Delaunay triangles with a common side form one group.
 
-    Two groups that share a triangle have three points in common. Triangles hang together by their sides, so
-    that all groups do: the team is made of interlaced modules, as Aranda and Perez-Yus demand
-    (Aranda-PerezYus 2024). In each row the two points that the triangles do not share come last.
+    Two groups that share a triangle have three points in common. Triangles are connected by their sides, and
+    so are all groups. They are interlaced modules, as required by Aranda and Perez-Yus (Aranda-PerezYus
+    2024). The last two points of each row are those that the triangles do not share.
 
     Raises:
-        InputError: the points lie in a line, or there are fewer than four.
+        InputError: the points are collinear, or there are fewer than four.
     """
     by_side: dict[tuple[int, int], list[int]] = {}
     for corners in triangles(shape).tolist():
@@ -76,24 +75,24 @@ def modules(shape: ComplexArray) -> IntArray:
 
 
 def both_ways(pairs: IntArray) -> IntArray:
-    """Links (2 E, 2), who needs to know of whom, of pairs (E, 2) that need to know of one another."""
+    """Return directed links (2 E, 2), from robot to required robot, for undirected pairs (E, 2)."""
     return np.concatenate([pairs, pairs[:, ::-1]])
 
 
 def within(groups: IntArray) -> IntArray:
-    """Links (L, 2), each once, of robots that need to know all others of their groups (M, G)."""
+    """Return directed links (L, 2), each once, from each robot to all others of its groups (M, G)."""
     pairs = [groups[:, [i, j]] for i, j in permutations(range(groups.shape[1]), 2)]
     return np.unique(np.concatenate(pairs), axis=0)
 
 
 def bearings(positions: ComplexArray, first: IntArray, second: IntArray) -> ComplexArray:
-    """Unit vectors (E,) from the first to the second robot of each pair; 0 for robots in one place."""
+    """Return unit vectors (E,) from the first to the second robot of each pair; 0 for coincident robots."""
     apart = positions[second] - positions[first]
     return np.asarray(apart / np.maximum(np.abs(apart), MIN_DISTANCE_M))
 
 
 def pull_together(pulls: ComplexArray, first: IntArray, second: IntArray, count: int) -> ComplexArray:
-    """Sums (N,) at each robot of what pairs (E,) pull: the first robot with `pulls`, the second against."""
+    """Return the sums (N,) of pairwise terms (E,): positive at the first robot, negative at the second."""
     total = np.zeros(count, dtype=np.complex128)
     np.add.at(total, first, pulls)
     np.add.at(total, second, -pulls)
@@ -101,21 +100,21 @@ def pull_together(pulls: ComplexArray, first: IntArray, second: IntArray, count:
 
 
 def spread(positions: ComplexArray) -> float:
-    """RMS distance of positions (N,) from their centroid."""
+    """Return the RMS distance of positions (N,) from their centroid."""
     return float(np.sqrt(np.mean(np.abs(positions - positions.mean()) ** 2)))
 
 
 def stiffest(directions: ComplexArray, first: IntArray, second: IntArray, count: int) -> float:
-    """The largest eigenvalue of `RᵀR`, where row e of R (E, 2 N) has direction e at both its robots.
+    """Return the largest eigenvalue of `RᵀR`, where row e of R (E, 2 N) has direction e at both robots.
 
-    R takes velocities to how fast the first robot of each pair moves against the second, along the pair's
-    direction (a complex number, whose length is a weight).
+    R maps velocities to the relative speeds of the pairs along their directions. A direction is a complex
+    number, whose magnitude is a weight.
 
     Args:
-        directions: (E,) one a pair.
-        first: (E,) a robot of each pair.
-        second: (E,) the other.
-        count: N.
+        directions: (E,) direction of each pair.
+        first: (E,) first robot of each pair.
+        second: (E,) second robot of each pair.
+        count: number N of robots.
     """
     rows, edge = np.zeros((first.size, 2 * count)), np.arange(first.size)
     for end, sign in ((first, -1.0), (second, 1.0)):

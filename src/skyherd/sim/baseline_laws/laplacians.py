@@ -1,7 +1,7 @@
-"""Laws whose only equilibria are the shape in any place, rotation and size: linear, by Laplacians.
+"""Linear laws with Laplacians, whose only equilibria are the shape in any place, rotation and size.
 
-Both have complex numbers for weights. A real 2 x 2 weight `a I + b J` of the papers on matrix-weighted
-Laplacians, J a quarter turn, is the complex number `a + b i`.
+Weights are complex numbers. A real 2 x 2 weight `a I + b J` of the papers on matrix-weighted Laplacians, with
+the quarter turn J, is the complex number `a + b i`.
 """
 
 import numpy as np
@@ -11,18 +11,18 @@ from skyherd.sim.baseline_laws.graphs import Law, neighbors, triangles
 
 
 def complex_laplacian_law(shape: ComplexArray, gain_ps: float) -> Law:
-    """The law `dz/dt = -k L z / λ_max(L)`, with a complex Laplacian L: L 1 = 0 and L shape = 0.
+    """Return the law `dz/dt = -k L z / λ_max(L)`, with a complex Laplacian L: L 1 = 0 and L shape = 0.
 
-    From Lin, Wang, Han and Fu (Lin 2014). Each robot needs the positions of its neighbours relative to its
-    own, in its own frame, in a unit of length that all have in common. Place, rotation and size of the shape
-    are free; each robot's point in it is fixed.
+    From Lin, Wang, Han and Fu (Lin 2014). Each robot needs the relative positions of its neighbours in its
+    own frame, in a common unit of length. Place, rotation and size of the shape are free; the roles are
+    fixed.
 
     Args:
-        shape: (N,) points that the robots are to form.
+        shape: (N,) points of the desired shape.
         gain_ps: rate k, 1/s.
 
     Raises:
-        InputError: the points lie in a line.
+        InputError: the points are collinear.
     """
     matrix = complex_laplacian(shape)
     matrix *= gain_ps / np.linalg.eigvalsh(matrix)[-1]
@@ -30,14 +30,14 @@ def complex_laplacian_law(shape: ComplexArray, gain_ps: float) -> Law:
 
 
 def complex_laplacian(shape: ComplexArray) -> ComplexArray:
-    """The Laplacian L (N, N) of a shape (N,): Hermitian, positive semidefinite, of rank N - 2.
+    """Return the Laplacian L (N, N) of a shape (N,): Hermitian, positive semidefinite, of rank N - 2.
 
-    The paper leaves the weights open. Here L is the sum over the triangles of the shape of `w wᴴ`, where
-    `wᴴ z` is zero for the triangles similar to it. This makes L stable without the diagonal matrix that other
+    The paper leaves the weights open. Here L is the sum of `w wᴴ` over the triangles of the shape, where
+    `wᴴ z` is zero for triangles similar to it. L is therefore stable without the diagonal matrix that other
     weights need.
 
     Raises:
-        InputError: the points lie in a line.
+        InputError: the points are collinear.
     """
     corners = triangles(shape)
     ahead, behind = np.roll(corners, -1, axis=1), np.roll(corners, -2, axis=1)
@@ -49,20 +49,20 @@ def complex_laplacian(shape: ComplexArray) -> ComplexArray:
 
 
 def matrix_weighted_law(shape: ComplexArray, gain_ps: float) -> Law:
-    """The law `dz_i/dt = -k Σ_j A_ij (z_i - z_j)` on a graph without cycles; two leaders stand still.
+    """Return the law `dz_i/dt = -k Σ_j A_ij (z_i - z_j)` on an acyclic graph with two static leaders.
 
-    From Fan, Xu, Fu, Sun, Zhang and Zhang (Fan 2025). A follower has two robots before it, and weights with
-    `A_ij (s_i - s_j) + A_ik (s_i - s_k) = 0` at the shape s. The paper leaves their common factor open; here
-    `A_ij + A_ik = I`, so that the matrix is triangular with k on its diagonal: every mode has the rate k.
-    Each follower needs the positions of those two relative to its own, in its own frame. Place, rotation and
-    size of the shape are those that the leaders have at the start.
+    From Fan, Xu, Fu, Sun, Zhang and Zhang (Fan 2025). A follower has two predecessors, and weights with
+    `A_ij (s_i - s_j) + A_ik (s_i - s_k) = 0` at the shape s. The paper leaves their common factor open. Here
+    `A_ij + A_ik = I`. The matrix is then triangular with k on its diagonal, and every mode has the rate k.
+    Each follower needs the relative positions of its predecessors in its own frame. The leaders' start
+    determines place, rotation and size of the shape.
 
     Args:
-        shape: (N,) points that the robots are to form.
+        shape: (N,) points of the desired shape.
         gain_ps: rate k, 1/s.
 
     Raises:
-        InputError: the points lie in a line.
+        InputError: the points are collinear.
     """
     links = follower_links(shape).reshape(-1, 2, 2)
     follower, one, other = links[:, 0, 0], links[:, 0, 1], links[:, 1, 1]
@@ -75,14 +75,14 @@ def matrix_weighted_law(shape: ComplexArray, gain_ps: float) -> Law:
 
 
 def follower_links(shape: ComplexArray) -> IntArray:
-    """Links (2 (N - 2), 2) from each follower to its two robots before it, a follower's rows together.
+    """Return links (2 (N - 2), 2) from each follower to its two predecessors, both rows together.
 
-    A side of a Delaunay triangle is the leaders'; the third corner of a triangle follows once the other two
-    are placed. Of all sides that which leaves the last robot the fewest followers behind its leaders is
-    taken: the paper leaves the choice open, and errors add up along the way.
+    The leaders form a side of a Delaunay triangle. The third corner of a triangle follows once the other two
+    are placed. The chosen side minimizes the maximum number of followers in a chain, because errors
+    accumulate along it. The paper leaves this choice open.
 
     Raises:
-        InputError: the points lie in a line.
+        InputError: the points are collinear.
     """
     corners = triangles(shape).tolist()
     found = [_links_from(leaders, corners) for leaders in neighbors(shape).tolist()]
@@ -90,7 +90,7 @@ def follower_links(shape: ComplexArray) -> IntArray:
 
 
 def _links_from(leaders: list[int], corners: list[list[int]]) -> tuple[int, list[tuple[int, int]]]:
-    """How many followers the last robot has before it, itself counted, and all links, from two leaders."""
+    """Return the length of the longest chain of followers, and all links, for two leaders."""
     depth, links = dict.fromkeys(leaders, 0), list[tuple[int, int]]()
     while True:
         ready = [

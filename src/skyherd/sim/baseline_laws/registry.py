@@ -1,4 +1,4 @@
-"""The laws by the names of `control.method`, what each needs to know, and laws of one's own."""
+"""Laws by the names of `control.method`, the data that each needs, and user-defined laws."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ from skyherd.sim.baseline_laws.laplacians import complex_laplacian_law, follower
 
 @dataclass(frozen=True)
 class BaselineLaw:
-    """A law from the literature.
+    """Law from the literature.
 
     Attributes:
-        make: from the shape on the ground, (N,) complex, and the rate k, 1/s, to the law. The shape is in
-            metres where the scenario's `size.unit_m` tells its size, and in template units otherwise.
-        links: from the shape to links (L, 2): a robot, and whom it has to know of at every instant; None
-            where nobody told, of a law of one's own.
-        numbers: how many numbers a robot needs for each of its links at every instant.
-        needs_size: whether the law needs the size of the shape.
+        make: function from the shape on the ground, (N,) complex, and the rate k, 1/s, to the law. The shape
+            is in metres if the scenario gives `size.unit_m`, and in template units otherwise.
+        links: function from the shape to links (L, 2): a robot, and another that it must know at every
+            instant. None for a user-defined law, whose links are unknown.
+        numbers: how many numbers a robot needs per link at every instant.
+        needs_size: True if the law needs the size of the shape.
     """
 
     make: Callable[[ComplexArray, float], Law]
@@ -49,12 +49,12 @@ LAWS: Mapping[str, BaselineLaw] = {
     "bearings-with-ranges": BaselineLaw(bearings_with_ranges_law, _between_neighbors, 2),
     "distances": BaselineLaw(distance_law, _between_neighbors, 2, needs_size=True),
 }
-"""Laws from the literature by the names of `control.method`; those of `skyherd.datasets.METHODS` but the
-first, which is skyherd's own."""
+"""Laws from the literature by the names of `control.method`: all `skyherd.datasets.METHODS` except the first,
+which is skyherd's own."""
 
 
 def find_law(method: str) -> BaselineLaw:
-    """The law that `control.method` names: one of `LAWS`, or one's own as `module:factory`.
+    """Return the law of a `control.method`: one of `LAWS`, or a user-defined one as `module:factory`.
 
     Raises:
         InputError: the factory cannot be imported.

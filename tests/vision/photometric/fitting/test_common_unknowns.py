@@ -23,7 +23,7 @@ def solution_of(shares):
 
 
 @pytest.mark.parametrize(("share", "counts"), [(0.9, True), (0.56, True), (0.52, False), (0.1, False)])
-def test_what_is_paler_than_three_fifths_of_the_prints_decides_on_nothing(share, counts):
+def test_markers_of_low_print_contrast_are_not_evidence(share, counts):
     """0.54 of white, with three prints of 0.9: paler is ground that was taken for a marker."""
     solution = solution_of([0.9, 0.9, 0.9, share])
     assert _print_inliers(solution, np.ones(4, dtype=bool)).tolist() == [True, True, True, counts]

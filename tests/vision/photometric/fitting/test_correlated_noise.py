@@ -65,7 +65,7 @@ def test_ratios_are_of_positions_and_of_headings():
     assert ratios[0, 0] / ratios[0, 1] == pytest.approx((3 / 1 + 4 / 2) / 2 / 7)
 
 
-def test_ratios_near_one_count_as_one_and_old_images_are_forgotten():
+def test_ratios_near_one_count_as_one_and_old_images_expire():
     assert PooledRatios().factors().tolist() == [1.0, 1.0]
     limit = SIGNIFICANT_SIGMAS * RATIO_ERROR / np.sqrt(2500)
     one = PooledRatios().updated(np.array([[1 + 0.99 * limit, 1 + 1.01 * limit]]), np.array([2500.0]))

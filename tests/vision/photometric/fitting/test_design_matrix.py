@@ -180,7 +180,7 @@ WHITE = marker_cells(DICTIONARY, MARKER)
         ),
     ],
 )
-def test_the_references_derivatives_are_the_limits_of_differences(name, difference):
+def test_reference_derivatives_match_finite_differences(name, difference):
     """With order 2."""
     x, y = points(0)
     sizes = np.array([0.2, 0.1, 0.05]) * SIGMA
@@ -293,7 +293,7 @@ def test_residuals_are_what_the_model_leaves():
     np.testing.assert_allclose(pixels.residuals(solutions), expected, atol=1e-3)
 
 
-def test_a_marker_much_larger_than_the_image_costs_no_more_than_the_image():
+def test_marker_larger_than_the_image_costs_no_more_than_it():
     """A fit that ran away: every pixel of 100 x 80 is its, and no more memory is asked for than for them."""
     where, looks = homographies([50 + 40j], [1e6 + 1e6j]), usual(1)
     read(noise_image(0, (80, 100)), where, looks)
@@ -353,7 +353,7 @@ def test_any_blur_is_drawn_without_a_number_that_is_not_finite(sigma):
     assert (np.abs(pixels.columns[:, CONTRAST]) <= 1 + 1e-5).all()
 
 
-def test_a_blur_that_is_not_a_number_leaves_its_marker_without_pixels():
+def test_nan_blur_leaves_its_marker_without_pixels():
     where, nan = homographies([30 + 30j, 30.25 + 31j], [20.0, 24 * np.exp(1j)]), float("nan")
     pixels = read(noise_image(7, (60, 60)), where, appearances(DICTIONARY, [0, 1], [nan, SIGMA]))
     assert pixels.counts[0] == 0 < pixels.counts[1]

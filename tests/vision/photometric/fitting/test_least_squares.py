@@ -123,7 +123,7 @@ def test_growth_is_the_difference_of_the_squares(problem, held):
         assert growth[row] == pytest.approx(without - with_all, rel=1e-7, abs=1e-7)
 
 
-def test_what_noise_adds_to_unknowns_that_are_none_is_chi_squared():
+def test_noise_in_superfluous_unknowns_is_chi_squared():
     """Growth over the noise's variance has mean 2 for two unknowns: to 5 deviations of a mean of 400."""
     rng = np.random.default_rng(4)
     columns = rng.normal(size=(400, UNKNOWNS, ROWS))

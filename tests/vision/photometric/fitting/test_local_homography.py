@@ -54,7 +54,7 @@ def test_squares_have_their_own_headings_and_sides():
     np.testing.assert_allclose(homographies.squeezes, 0, atol=1e-11)
 
 
-def test_heading_and_side_are_those_of_the_jacobian_at_the_centre():
+def test_heading_and_side_match_the_jacobian_at_the_centre():
     """Forward and scale by central differences: of order h², here (1e-4 x 60 x 1e-3)² of themselves."""
     homographies, h = random_shapes(3), 1e-4
     right, down = (
@@ -104,7 +104,7 @@ def test_a_lean_is_a_change_of_the_horizon_exactly():
     np.testing.assert_allclose(homographies.leans_to(moved.horizons), lean, atol=1e-12)
 
 
-def test_blur_in_marker_coordinates_is_the_images_through_the_inverse_map():
+def test_marker_blur_is_image_blur_under_the_inverse_map():
     """Its covariance `σ² (JᵀJ)⁻¹`, whose mean variance and anisotropy the two methods give."""
     homographies, sigma_px = random_shapes(9), 0.8
     across, down = homographies.axes()
@@ -116,7 +116,7 @@ def test_blur_in_marker_coordinates_is_the_images_through_the_inverse_map():
     np.testing.assert_allclose(covariances[:, 0, 1], -2 * squares * uneven.imag, atol=1e-12)
 
 
-def test_what_a_shift_leaves_under_a_horizon_is_of_second_order_in_the_two():
+def test_shift_error_under_perspective_is_of_second_order():
     """Order 2, recovered over four halvings of shift and horizon together."""
     errors, scales = [], 0.5 ** np.arange(5)
     for scale in scales:
@@ -129,7 +129,7 @@ def test_what_a_shift_leaves_under_a_horizon_is_of_second_order_in_the_two():
 
 
 @pytest.mark.parametrize("factor", [2, 4, 8])
-def test_shrunk_shapes_lie_where_the_shrunk_pixels_are_and_come_back(factor):
+def test_shrunk_shapes_match_shrunk_pixels_and_invert(factor):
     """Pixel j of a shrunk image is the mean of pixels factor j to factor j + factor - 1."""
     homographies = random_shapes(7)
     small = homographies.scaled(factor)

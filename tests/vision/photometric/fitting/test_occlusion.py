@@ -88,7 +88,7 @@ def test_covered_markers_are_found_and_leave_the_others_alone(name):
         seen = detector.detect(image, time_s=100.0 * seed, unit_id=seed)
         assert seen.ids.tolist() == IDS.tolist()
         squares.append(turned(seen.headings_rad, truth) ** 2 / seen.covariances[:, 2, 2])
-        assert detector.estimates[seed].plane == Plane()
+        assert detector.states[seed].plane == Plane()
     others = np.delete(np.array(squares), [2, 7, 11], axis=1)
     # 78 and 18 squares deviate from their mean by 0.16 and 0.33; edges of discs may double the latter.
     assert np.mean(others) < 1 + 4 * 0.16
@@ -97,7 +97,7 @@ def test_covered_markers_are_found_and_leave_the_others_alone(name):
 
 def test_what_is_not_covered_is_not_fitted_twice(monkeypatch):
     image, _ = scene(3, [], 0.1)
-    monkeypatch.setattr("skyherd.vision.photometric.acceptance.fit_visible_all_sizes", None)
+    monkeypatch.setattr("skyherd.vision.photometric.measure.fit_visible_all_sizes", None)
     assert PhotometricDetector(DICTIONARY).detect(image).ids.size == IDS.size
 
 

@@ -76,7 +76,7 @@ def test_squeezes_are_those_of_small_squares_under_a_true_camera(seed):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_horizons_make_the_shapes_images_those_of_the_true_camera(seed):
+def test_perspective_terms_reproduce_the_true_camera(seed):
     """The whole card, and points three sides away, as the homography maps them; Jacobians as above."""
     homography = random_homography(seed)
     ground, turns, homographies = squares_at(homography, POINTS)
@@ -123,7 +123,7 @@ def test_noise_alone_is_rarely_taken_for_a_plane():
 
 @pytest.mark.parametrize(("horizon", "unknowns"), [(0j, 2), (2e-4 - 1e-4j, 4)])
 def test_the_simplest_plane_that_explains_is_taken(horizon, unknowns):
-    """Pixels that are only oblong need no horizon, a tilt does; both are kept but for the noise's rate."""
+    """Pixels that are only oblong need no horizon, a tilt does; both are kept except for the noise's rate."""
     rng, sigma, plane = np.random.default_rng(4), 1e-3, Plane(0.03 + 0.01j, horizon)
     variances = np.full(POINTS.size, sigma**2)
     found = [fit_plane(POINTS, plane.squeezes(POINTS) + noise(rng, sigma), variances) for _ in range(300)]

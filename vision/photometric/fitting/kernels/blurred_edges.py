@@ -42,7 +42,7 @@ _RATE = np.float32(NODES_PER_SIGMA)
 
 @njit(**INLINE)
 def _node(place: Any) -> tuple[Any, Any, Any]:
-    """The tables' entry nearest to a place in reach, standard deviations; where that is, and how far off."""
+    """Return the tables' entry nearest to a place in standard deviations, its place, and its distance."""
     node = np.uintp(place * _RATE + np.float32(MIDDLE_NODE + 0.5))
     there = np.float32(np.intp(node) - MIDDLE_NODE) * _NODE_WIDTH
     return node, there, place - there
@@ -70,7 +70,7 @@ def step_and_bell(place: Any) -> tuple[Any, Any]:
 
 @njit(**INLINE)
 def edges_in_reach(position: Any, reach: Any, edges: int) -> tuple[Any, Any]:
-    """The first edge of cells along one axis that is within reach of a position, and the first beyond it.
+    """Return the first edge of cells along one axis within reach of a position, and the first beyond.
 
     Edge k has cell k on its left, where cells 0 and n + 1 are the ground on either side.
 

@@ -138,7 +138,7 @@ def _growths(variances: tuple[Any, Any, Any], marker: Any) -> tuple[Any, Any, An
 def _ellipse(
     x: Any, y: Any, w_square: Any, variances: tuple[Any, Any, Any], growths: tuple[Any, Any, Any]
 ) -> tuple[Any, Any, Any]:
-    """A pixel's own blur: its standard deviations along x and y, and its covariance.
+    """Return a pixel's own blur: its standard deviations along x and y, and its covariance.
 
     Towards the horizon the marker shrinks, by w, and blur grows in its coordinates.
 

@@ -13,7 +13,7 @@ _POINTS, _VARIANCES = readonly(complex128, 1), readonly(float64, 1)
 
 @njit(**PARTS)
 def _chi_squared(a: Any, h: Any, points: Any, squeezes: Any, variances: Any) -> Any:
-    """Sum of the squared distances of squeezes from those of a plane α, λ, over their variances."""
+    """Return sum of the squared distances of squeezes from those of a plane α, λ, over their variances."""
     total = 0.0
     for row in range(points.size):
         p = points[row]
@@ -48,7 +48,7 @@ def _copy(matrix: Any, into: Any) -> None:
 def _solve(
     points: Any, squeezes: Any, variances: Any, tilted: Any, covariance: Any, limits: Any, max_rounds: Any
 ) -> Any:
-    """The plane α, λ with, if `tilted`, λ free; zero where the iteration runs to what no camera sees."""
+    """Return the plane α, λ, with λ free if `tilted`; zero where the iteration diverges."""
     aa, ah, hh = _normal_matrix(points, variances, limits[3])
     covariance[:] = 0
     if tilted:

@@ -15,7 +15,7 @@ _COLUMNS, _PLACES, _SOLUTIONS = readonly(float32, 2), readonly(float32, 2), read
 
 @njit(**INLINE)
 def _residual(columns: Any, row: int, solutions: Any, number: int) -> Any:
-    """A pixel less the model at it, in single precision, times the pixel's weight."""
+    """Return a pixel less the model at it, in single precision, times the pixel's weight."""
     residual = columns[row, PIXEL_ROW]
     for unknown in range(UNKNOWNS):
         residual -= solutions[number, unknown] * columns[row, unknown]

@@ -28,7 +28,7 @@ _NEXT = np.uintp(1)
 
 @njit(**INLINE)
 def _first_and_last(low: float, high: float, size: int) -> tuple[int, int]:
-    """The whole numbers from `low` to `high`, of those from 0 to `size - 1`; none if the last is smaller."""
+    """Return the whole numbers from `low` to `high` within 0 to `size - 1`; none if `high` is smaller."""
     if not low <= high:
         return 0, -1
     first, last = max(math.ceil(low), 0.0), min(math.floor(high), size - 1.0)

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from skyherd.vision import PhotometricDetector
+from skyherd.vision.photometric.candidates import find_candidates
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
-from skyherd.vision.photometric.image_estimates import ImageEstimates
-from skyherd.vision.photometric.look import look_at_quads
+from skyherd.vision.photometric.measure import measure_candidates
+from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.search.decode import MIN_CORRELATION
 from skyherd.vision.search.quads import find_quads
 
@@ -37,12 +38,12 @@ def markers(place_markers, draw_markers):
 
 def candidates(image, print_contrast, *, first_is_known=True) -> list[int]:
     """Ids of the candidates that are fitted beside marker 3, or with it if that is not known."""
-    known = ImageEstimates(sigma_px=0.85, noise=2.0, print_contrast=print_contrast)
+    state = CameraState(sigma_px=0.85, noise=2.0, print_contrast=print_contrast)
     arms = np.array([SIDE_PX * 1j * np.exp(0.3j)])
     first = LocalHomographies(PLACES[:1], arms, np.zeros(1, complex), np.zeros(1, complex))
     there = first.take(np.arange(int(first_is_known)))
-    look = look_at_quads(image, DICTIONARY, known, find_quads(image), there, MIN_CORRELATION)
-    return sorted(look.candidates.ids.tolist())
+    found = find_candidates(image, DICTIONARY, state, find_quads(image), there, MIN_CORRELATION)
+    return sorted(found.ids.tolist())
 
 
 def test_what_is_much_paler_than_a_units_markers_is_not_fitted(markers) -> None:
@@ -52,7 +53,7 @@ def test_what_is_much_paler_than_a_units_markers_is_not_fitted(markers) -> None:
     assert candidates(pale, None) == candidates(pale, 0.22) == [7, 12]
 
 
-def test_an_image_in_which_no_marker_is_known_is_searched_for_pale_ones_too(markers) -> None:
+def test_image_without_known_markers_is_searched_for_pale_ones(markers) -> None:
     """Haze, or a lamp, may have lifted all blacks since: the unit must find its markers again."""
     assert candidates(markers(faded=0.2), USUAL_PRINT, first_is_known=False) == [3, 7, 12]
 
@@ -68,8 +69,8 @@ def test_the_print_of_a_units_markers_is_learnt(markers) -> None:
     detector = PhotometricDetector(DICTIONARY)
     for number in range(3):
         assert len(detector.detect(markers(number), time_s=float(number))) == 3
-    assert detector.estimates[0].print_contrast == pytest.approx(USUAL_PRINT, rel=0.01)
-    assert ImageEstimates().print_contrast is None
+    assert detector.states[0].print_contrast == pytest.approx(USUAL_PRINT, rel=0.01)
+    assert CameraState().print_contrast is None
 
 
 SLANTED = np.array([120 + 70j, 280 + 70j])
@@ -88,18 +89,18 @@ def slanted(place_markers, tilt_deg: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("number", range(3))
-def test_a_few_markers_are_not_put_on_a_plane_where_those_known_have_none(
-    place_markers, draw_markers, number
-) -> None:
+def test_few_markers_get_no_plane_if_known_ones_have_none(place_markers, draw_markers, number) -> None:
     """Two squeezes always lie as on some plane, here a level one, and centres are off by 0.1 px then."""
     rng = np.random.default_rng([10, number])
     image = draw_markers(slanted(place_markers, 68), [3, 7], SIZE, rng, noise=1.0)
 
-    def errors_px(known: ImageEstimates) -> np.ndarray:
+    def errors_px(state: CameraState) -> np.ndarray:
         nothing = LocalHomographies.of_corners(np.zeros((0, 4, 2)))
-        found = look_at_quads(image, DICTIONARY, known, find_quads(image), nothing, MIN_CORRELATION).found
+        quads = find_quads(image)
+        candidates = find_candidates(image, DICTIONARY, state, quads, nothing, MIN_CORRELATION)
+        found = measure_candidates(image, DICTIONARY, state, quads, candidates).found
         assert sorted(found.ids.tolist()) == [3, 7]
         return np.abs(found.homographies.centers[np.argsort(found.ids)] - SLANTED)
 
-    assert (errors_px(ImageEstimates(plane=Plane(shared=False))) < 0.03).all()
-    assert (errors_px(ImageEstimates()) > 0.1).all()
+    assert (errors_px(CameraState(plane=Plane(shared=False))) < 0.03).all()
+    assert (errors_px(CameraState()) > 0.1).all()

@@ -1,4 +1,4 @@
-"""The second look: what the first loses is found, and what is known is not looked at again."""
+"""The fallback search: it finds markers that the first pass misses, and excludes known markers."""
 
 import cv2
 import numpy as np
@@ -8,15 +8,15 @@ from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision import PhotometricDetector, create_detector
-from skyherd.vision.photometric import look as stages
-from skyherd.vision.search.second_look import find_overlooked_quads
+from skyherd.vision.photometric import detector as stages
+from skyherd.vision.search.fallback_search import find_overlooked_quads
 
 DICTIONARY = "APRILTAG_36h11"
 SIDE_PX, STEP_PX, ROWS = 11.5, 20.0, 5
 
 
 def sheet() -> tuple[np.ndarray, np.ndarray]:
-    """A sharp image of 25 markers with 8 cells of a pixel and a half, and their middles (25, 2), px."""
+    """Return a sharp image of 25 markers with 8 cells of 1.5 px a side, and their centres (25, 2), px."""
     large = 40
     middles = np.array([[u, v] for v in range(ROWS) for u in range(ROWS)]) * STEP_PX + STEP_PX + 4.3
     size = round((ROWS + 1) * STEP_PX) * large
@@ -31,12 +31,12 @@ def sheet() -> tuple[np.ndarray, np.ndarray]:
 
 
 def near(quads: np.ndarray, middles: np.ndarray) -> np.ndarray:
-    """Which of the middles (N, 2) have a quadrilateral within 1 px."""
+    """Return the mask (N,) of the centres (N, 2) that have a quadrilateral within 1 px."""
     off = np.linalg.norm(quads.mean(axis=1)[:, None] - middles, axis=2)
     return (off < 1.0).any(axis=0) if len(quads) else np.zeros(len(middles), dtype=bool)
 
 
-def test_cells_of_a_pixel_and_a_half_come_apart_at_twice_the_size(monkeypatch):
+def test_fallback_search_finds_cells_of_one_and_a_half_pixels(monkeypatch):
     image, middles = sheet()
     assert near(find_overlooked_quads(image, np.zeros((0, 4, 2)), DICTIONARY), middles).all()
     detector = PhotometricDetector(DICTIONARY, following=False)
@@ -45,10 +45,10 @@ def test_cells_of_a_pixel_and_a_half_come_apart_at_twice_the_size(monkeypatch):
     np.testing.assert_allclose(seen.centers_px, middles, atol=0.1)
     nothing = np.zeros((0, 4, 2))
     monkeypatch.setattr(stages, "find_overlooked_quads", lambda *_: nothing)
-    assert len(detector.detect(image)) < 20, "without the second look"
+    assert len(detector.detect(image)) < 20, "without the fallback search"
 
 
-def test_what_is_known_is_not_looked_at_again():
+def test_fallback_search_excludes_known_markers():
     image, middles = sheet()
     half = SIDE_PX / 2
     squares = middles[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
@@ -66,20 +66,21 @@ def test_what_is_known_is_not_looked_at_again():
     ids=["faint and blurred", "tilted by 70 degrees"],
 )
 def test_every_marker_that_opencv_finds_is_found(cell):
-    """Rendered images in which the first look alone is blinder than OpenCV's detector at its defaults."""
+    """Rendered images in which the first pass alone misses markers that OpenCV detects at its defaults."""
     first_alone = 0
     for frame in rendered_frames(cell, "4X4_50", 3):
         theirs = create_detector("opencv").detect(frame.image)
         seen = create_detector().detect(frame.image)
         assert set(theirs.ids) <= set(seen.ids)
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(stages, "find_overlooked_quads", lambda *_: np.zeros((0, 4, 2)))
+            for fallback in ("find_overlooked_quads", "find_faint_quads"):
+                patch.setattr(stages, fallback, lambda *_: np.zeros((0, 4, 2)))
             first_alone += len(set(theirs.ids) - set(create_detector().detect(frame.image).ids))
-    assert first_alone > 0, "the cells are such that the second look has something to find"
+    assert first_alone > 0, "the first pass alone misses markers"
 
 
 class Counted:
-    """The second look, and the numbers of the images that had one."""
+    """Numbers of the images with a fallback search."""
 
     def __init__(self, monkeypatch):
         self.image, self.images = 0, []
@@ -92,7 +93,7 @@ class Counted:
         monkeypatch.setattr(stages, "find_overlooked_quads", counted)
 
     def follow(self, images):
-        """Ids found in each image by a detector that follows markers."""
+        """Return the set of ids that `tracking` detects in each image."""
         detector, found = create_detector("tracking", dictionary=DICTIONARY), []
         for self.image, image in enumerate(images):
             found.append(set(detector.detect(image, time_s=0.1 * self.image).ids.tolist()))
@@ -100,23 +101,23 @@ class Counted:
 
 
 def without(image, middle):
-    """The image with the marker around a middle painted over."""
+    """Return a copy of the image in which the marker at a centre is painted over."""
     left, top = np.round(middle - STEP_PX / 2).astype(int)
     size, covered = round(STEP_PX), image.copy()
     covered[top : top + size, left : left + size] = 140
     return covered
 
 
-def test_while_all_are_followed_there_is_a_second_look_at_every_tenth_search(monkeypatch):
-    """Searches are every fifth image; at first nothing is known, and the second look finds some of these."""
+def test_fallback_search_runs_every_tenth_search_if_all_followed(monkeypatch):
+    """Every fifth image is searched. In the first image the fallback search finds some of the markers."""
     counted = Counted(monkeypatch)
     image, _ = sheet()
     found = counted.follow([image] * 65)
     assert found == [set(range(25))] * 65
-    assert counted.images == [0, 10, 60], "the one after a success is at the next search but one"
+    assert counted.images == [0, 10, 60], "after a success it runs two searches later"
 
 
-def test_a_marker_that_only_the_second_look_finds_is_found_within_fifty_images(monkeypatch):
+def test_marker_of_fallback_search_is_found_within_50_images(monkeypatch):
     image, middles = sheet()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stages, "find_overlooked_quads", lambda *_: np.zeros((0, 4, 2)))
@@ -128,7 +129,7 @@ def test_a_marker_that_only_the_second_look_finds_is_found_within_fifty_images(m
     assert first == 60 and counted.images == [0, 10, 60]
 
 
-def test_a_marker_that_is_missing_is_searched_by_both_looks_at_once(monkeypatch):
+def test_missing_marker_triggers_both_search_passes(monkeypatch):
     counted = Counted(monkeypatch)
     image, middles = sheet()
     found = counted.follow([*[image] * 13, without(image, middles[7])])

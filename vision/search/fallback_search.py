@@ -1,9 +1,9 @@
-"""Quadrilaterals where the first look found no marker: small or slim ones, and those that OpenCV reads.
+"""Fallback search for quadrilaterals that the first search pass misses.
 
-The first look (`skyherd.vision.search.quads`) is fast, and loses markers of few pixels, which its filters
-blur, and some faint ones. Where dark pixels crowd and no marker was found, the places are looked at once
-more: at twice their size, and by OpenCV's detector at its default parameters, so that what this detector
-finds is among the candidates of the fit.
+The first pass (`skyherd.vision.search.quads`) is fast. Its filters lose the smallest markers and some faint
+ones. The fallback search covers places with many dark pixels and no known marker. It searches them at twice
+the size, and with OpenCV's detector at its default parameters. Markers that OpenCV detects thus become
+candidates of the fit.
 """
 
 import cv2
@@ -17,14 +17,15 @@ from skyherd.vision.search.regions import Mosaic, crowded_places
 
 
 def find_overlooked_quads(image: Image, known_px: Array, dictionary: str) -> Array:
-    """Return the corners (N, 4, 2), px, of quadrilaterals in places of an image where nothing is known.
+    """Return the corners (N, 4, 2), px, of quadrilaterals outside known markers, by both fallback methods.
 
-    Corners run clockwise as seen and begin with any of the four. Some may be around a square that is known.
+    The corners run clockwise in the image and begin with any of the four. Some quadrilaterals may belong to
+    a known marker.
 
     Args:
         image: grey, (height, width).
-        known_px: (K, 4, 2) corners of the markers that are known, px.
-        dictionary: of the markers.
+        known_px: (K, 4, 2) corners of the known markers, px.
+        dictionary: name of the marker dictionary.
     """
     places = crowded_places(image, known_px)
     if places is None:
@@ -33,23 +34,23 @@ def find_overlooked_quads(image: Image, known_px: Array, dictionary: str) -> Arr
 
 
 def find_small_quads(image: Image, known_px: Array) -> Array:
-    """Return those of `find_overlooked_quads` that are seen at twice the size."""
+    """Return the quadrilaterals of `find_overlooked_quads` from the search at twice the size."""
     places = crowded_places(image, known_px)
     return np.zeros((0, 4, 2)) if places is None else small_quads(places)
 
 
 def find_opencv_quads(image: Image, known_px: Array, dictionary: str) -> Array:
-    """Return those of `find_overlooked_quads` that OpenCV's detector finds."""
+    """Return the quadrilaterals of `find_overlooked_quads` from OpenCV's detector."""
     places = crowded_places(image, known_px)
     return np.zeros((0, 4, 2)) if places is None else _opencv_quads(places, max(image.shape), dictionary)
 
 
 def _opencv_quads(places: Mosaic, image_side_px: int, dictionary: str) -> Array:
-    """Corners (N, 4, 2) of the markers that OpenCV's detector finds in places of an image.
+    """Return the corners (N, 4, 2), px, of the markers that OpenCV detects in places of an image.
 
-    Its limits are shares of the longer side of the image that it is given; here they are those that it has
-    in the whole image, whose longer side is `image_side_px`.
+    `image_side_px` is the longer side of the whole image, px.
     """
+    # OpenCV's limits are shares of the longer side of its input. Scale them to those of the whole image.
     parameters = cv2.aruco.DetectorParameters()
     parameters.markerBorderBits = border_cells(dictionary)
     parameters.minMarkerPerimeterRate *= image_side_px / max(places.image.shape)

@@ -1,0 +1,73 @@
+"""Compare following with single images on videos: markers found in all frames.
+
+    python benchmarks/followed_videos.py ../shared/robot-photographs/*.mp4 --dictionary 4X4_100
+
+Columns: frames; markers found in all frames by `photometric` with following (`tracking`), by `photometric` on
+single images, and by OpenCV's detector; those of single images that following misses, and the reverse.
+"""
+
+import argparse
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from skyherd.messages import Detections
+from skyherd.vision import create_detector
+
+NAMES = ("tracking", "photometric", "opencv")
+SAME_PLACE = 0.3
+"""Distance of centres of one marker at most, in its sides."""
+
+
+def missed(one: Detections, other: Detections) -> int:
+    """Return how many markers of one are not among the other."""
+    count = 0
+    for marker, center, side in zip(one.ids, one.centers_px, one.sides_px, strict=True):
+        there = other.centers_px[other.ids == marker]
+        count += not (np.linalg.norm(there - center, axis=1) < SAME_PLACE * side).any()
+    return count
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("videos", nargs="+", type=Path)
+    parser.add_argument("--dictionary", default="4X4_50")
+    parser.add_argument("--inverted", action="store_true")
+    parser.add_argument("--frames", type=int, default=200, help="of each video at most")
+    parser.add_argument("--every", type=int, default=1, help="take one of so many frames")
+    given = parser.parse_args()
+    print("| video | frames | " + " | ".join(NAMES) + " | missed by following | by single images |")
+    print("|---" * (4 + len(NAMES)) + "|")
+    for path in given.videos:
+        detectors = [create_detector(name, dictionary=given.dictionary) for name in NAMES]
+        capture, found, lost, gained, number, frame = (
+            cv2.VideoCapture(str(path)),
+            [0] * len(NAMES),
+            0,
+            0,
+            0,
+            -1,
+        )
+        while number < given.frames:
+            frame += 1
+            read, image = capture.read()
+            if not read:
+                break
+            if frame % given.every:
+                continue
+            grey = np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
+            grey = 255 - grey if given.inverted else grey
+            seen = [detector.detect(grey, time_s=frame / 25) for detector in detectors]
+            found = [total + len(one) for total, one in zip(found, seen, strict=True)]
+            lost, gained = lost + missed(seen[1], seen[0]), gained + missed(seen[0], seen[1])
+            number += 1
+        print(
+            f"| {path.name} | {number} | " + " | ".join(map(str, [*found, lost, gained])) + " |", flush=True
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,179 @@
+"""Log odds that a candidate shows a marker, against a reference fit and against what is no marker."""
+
+import math
+
+import cv2
+import numpy as np
+import pytest
+
+from skyherd.markers.dictionary import marker_cells
+from skyherd.messages import Quality
+from skyherd.vision import PhotometricDetector
+from skyherd.vision.photometric import likelihood
+from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
+
+CELL_PX, MARGIN_PX, BLUR_PX = 6, 30, 1.0
+
+
+def card(cells: np.ndarray, *, white_cells: float = 1.0, ground: float = 120.0) -> np.ndarray:
+    """An image of levels of cells (n, n) on a white card, whose zone is `white_cells` wide, on a ground."""
+    side = len(cells) * CELL_PX
+    image = np.full((side + 2 * MARGIN_PX,) * 2, ground)
+    zone = round(white_cells * CELL_PX)
+    image[MARGIN_PX - zone : MARGIN_PX + side + zone, MARGIN_PX - zone : MARGIN_PX + side + zone] = 200.0
+    square = slice(MARGIN_PX, MARGIN_PX + side)
+    image[square, square] = np.kron(np.where(cells, 200.0, 30.0), np.ones((CELL_PX, CELL_PX)))
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), BLUR_PX))
+
+
+def corners(n: int, turn: int = 0) -> np.ndarray:
+    """Corners (1, 4, 2) of the square of n cells, beginning with corner `turn`."""
+    low, high = MARGIN_PX - 0.5, MARGIN_PX + n * CELL_PX - 0.5
+    return np.roll(np.array([[[low, low], [high, low], [high, high], [low, high]]]), -turn, axis=1)
+
+
+def noisy(levels: np.ndarray, seed: int, std: float = 2.0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.clip(np.rint(levels + rng.normal(0, std, levels.shape)), 0, 255).astype(np.uint8)
+
+
+def flipped(cells: np.ndarray, *bits: tuple[int, int]) -> np.ndarray:
+    cells = cells.copy()
+    for row, column in bits:
+        cells[row, column] ^= True
+    return cells
+
+
+def test_threshold_is_below_the_most_that_16_bits_can_show() -> None:
+    most = 16 * math.log(2) - math.log(4 * 50) - math.log(likelihood.BITS_ODDS)
+    assert min_log_odds("4X4_50") == pytest.approx(most - likelihood.MAX_DOUBT)
+    assert min_log_odds("4X4_250") == pytest.approx(min_log_odds("4X4_50") - math.log(5))
+    assert min_log_odds("APRILTAG_36h11") == likelihood.MIN_LOG_ODDS
+
+
+@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize(("dictionary", "marker"), [("4X4_50", 8), ("APRILTAG_36h11", 301)])
+def test_marker_is_read_from_any_corner(dictionary, marker, turn) -> None:
+    cells = marker_cells(dictionary, marker)
+    odds = marker_odds(noisy(card(cells), 1), corners(len(cells), turn), dictionary)
+    assert odds.ids.tolist() == [marker] and (odds.turns[0] + turn) % 4 == 0
+    assert odds.log_odds[0] > min_log_odds(dictionary)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_one_wrong_bit_of_16_is_refused(seed) -> None:
+    """The negative control: the same square with a bit that no marker of the dictionary has."""
+    rng = np.random.default_rng(seed)
+    cells = marker_cells("4X4_50", int(rng.integers(50)))
+    wrong = flipped(cells, tuple(rng.integers(1, 5, 2)))
+    odds = marker_odds(noisy(card(wrong), seed), corners(6), "4X4_50")
+    assert odds.log_odds[0] < min_log_odds("4X4_50") - 2
+
+
+def test_two_wrong_bits_of_36_are_accepted_and_six_refused() -> None:
+    cells = marker_cells("APRILTAG_36h11", 17)
+    bits = [(1, 2), (3, 6), (5, 1), (6, 6), (2, 4), (4, 3)]
+    accepted = [
+        marker_odds(noisy(card(flipped(cells, *bits[:count])), 3), corners(8), "APRILTAG_36h11").log_odds[0]
+        > min_log_odds("APRILTAG_36h11")
+        for count in (0, 2, 6)
+    ]
+    assert accepted == [True, True, False]
+
+
+def test_log_odds_do_not_depend_on_light() -> None:
+    """Levels times 0.4 plus 60 leave the log odds, apart from the rounding of grey levels."""
+    levels = card(marker_cells("4X4_50", 3))
+    bright, pale = (
+        marker_odds(noisy(one, 1, 0.5), corners(6), "4X4_50") for one in (levels, 60 + 0.4 * levels)
+    )
+    assert pale.log_odds[0] == pytest.approx(bright.log_odds[0], abs=0.05)
+    assert pale.contrasts[0] == pytest.approx(0.4 * bright.contrasts[0], rel=0.02)
+
+
+@pytest.mark.parametrize("white_cells", [0.25, 0.4, 1.0])
+@pytest.mark.parametrize("ground", [40.0, 200.0])
+def test_narrow_cards_are_read_on_any_ground(white_cells, ground) -> None:
+    image = noisy(card(marker_cells("4X4_50", 11), white_cells=white_cells, ground=ground), 2)
+    odds = marker_odds(image, corners(6), "4X4_50")
+    assert odds.ids.tolist() == [11] and odds.log_odds[0] > min_log_odds("4X4_50")
+
+
+@pytest.mark.parametrize("box", [(1.6, 3.3, 1.5, 4.2), (2.2, 4.4, 1.7, 2.9), (1.2, 4.8, 1.3, 4.9)])
+def test_light_rectangles_in_dark_squares_are_refused(box) -> None:
+    top, bottom, left, right = (MARGIN_PX + round(edge * CELL_PX) for edge in box)
+    levels = card(np.zeros((6, 6), dtype=bool))
+    levels[top:bottom, left:right] = 200.0
+    odds = marker_odds(noisy(cv2.GaussianBlur(levels, (0, 0), BLUR_PX), 4), corners(6), "4X4_50")
+    assert odds.log_odds[0] < min_log_odds("4X4_50")
+
+
+def test_shaded_half_of_a_marker_is_not_taken_for_black() -> None:
+    """Id 8 with the light of one half times 0.25 resembles id 28, whose other half is black."""
+    levels = card(marker_cells("4X4_50", 8))
+    rows, columns = np.indices(levels.shape)
+    middle = levels.shape[0] / 2
+    for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
+        beyond = np.cos(angle) * (columns - middle) + np.sin(angle) * (rows - middle) > 1.5
+        odds = marker_odds(noisy(np.where(beyond, 0.25 * levels, levels), 5), corners(6), "4X4_50")
+        assert odds.ids[0] == 8 or odds.log_odds[0] < min_log_odds("4X4_50")
+
+
+def test_levels_and_noise_agree_with_a_plain_reference() -> None:
+    """The compiled sums against the module's formulas, written out for one candidate and one pattern."""
+    n = 6
+    samples = likelihood._Samples.read(noisy(card(marker_cells("4X4_50", 9)), 6), corners(n), n)
+    _, drawn = likelihood._drawn(
+        samples.readings, likelihood._nearest_codes(samples.readings, "4X4_50"), "4X4_50"
+    )
+    fitted = likelihood._fit(samples, drawn)
+    design, scale = likelihood._design(n), samples.scales[0]
+    y, prior = samples.readings[0] / scale, design.outlier_priors
+    for k in range(drawn.shape[1]):
+        white = drawn[0, k]
+        columns = np.column_stack([design.places, white[:, None] * design.places])
+        share = np.where(design.on_card, 1.0, likelihood.FIRST_ZONE_SHARE)
+        std = 5 * likelihood.USUAL_STD
+        for _ in range(likelihood.ITERATIONS):
+            ridge = np.full(6, (std / likelihood.GRADIENT_STD) ** 2 * likelihood.PARTS**2)
+            ridge[[0, 3]] = 1e-6
+            normal = columns.T @ (share[:, None] * columns) + np.diag(ridge)
+            levels = np.linalg.solve(normal, columns.T @ (share * y))
+            errors = y - columns @ levels
+            on_card = share * design.on_card
+            count = likelihood.USUAL_STD_PARTS
+            variance = (count * likelihood.USUAL_STD**2 + on_card @ errors**2) / (count + on_card.sum())
+            std = math.sqrt(variance + (likelihood.ROUNDING_STD / scale) ** 2)
+            bell = (1 - prior) * np.exp(-0.5 * (errors / std) ** 2) / (std * math.sqrt(2 * math.pi))
+            density = bell + prior / likelihood.OUTLIER_RANGE
+            share = bell / density
+        logs = samples.weights[0] * np.log(density).sum()
+        logs -= 0.5 * np.square(levels[[1, 2, 4, 5]] / likelihood.GRADIENT_STD).sum()
+        short = min(math.log(max(levels[3] * scale, likelihood.MIN_CONTRAST) / samples.ranges[0]), 0.0)
+        logs -= 0.5 * (short / likelihood.LOG_CONTRAST_STD) ** 2
+        assert fitted.stds[0, k] == pytest.approx(std, rel=1e-9)
+        if levels[3] * scale >= likelihood.MIN_CONTRAST:
+            assert fitted.logs[0, k] == pytest.approx(logs, rel=1e-9)
+
+
+def spoilt(kind: str, seed: int) -> np.ndarray:
+    """A marker of 36h11 under salt or glare."""
+    rng = np.random.default_rng(seed)
+    image = noisy(card(marker_cells("APRILTAG_36h11", 40)), seed).astype(float)
+    if kind == "salt":
+        image[rng.random(image.shape) < 0.08] = 255
+    else:
+        rows, columns = np.indices(image.shape)
+        image += 400 * np.exp(-((rows - 48) ** 2 + (columns - 60) ** 2) / (2 * 3.0**2))
+    return np.clip(image, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("kind", ["salt", "glare"])
+def test_spoilt_marker_is_measured_with_an_honest_quality(kind) -> None:
+    """Found, not as a photometric one, with errors that its covariance allows at 4 sigma."""
+    for seed in range(3):
+        seen = PhotometricDetector("APRILTAG_36h11", following=False).detect(spoilt(kind, seed))
+        assert seen.ids.tolist() == [40] and seen.qualities[0] < Quality.PHOTOMETRIC
+        middle = MARGIN_PX + 4 * CELL_PX - 0.5
+        off = seen.centers_px[0] - middle
+        assert off @ np.linalg.solve(seen.covariances[0, :2, :2], off) < 2 * 4**2

@@ -1,0 +1,64 @@
+"""Corners from gradients along the sides of dark quadrilaterals, and faint quadrilaterals."""
+
+import cv2
+import numpy as np
+import pytest
+
+from skyherd.vision.search.edges import fit_edges
+from skyherd.vision.search.faint import find_faint_quads
+from skyherd.vision.search.quads import find_quads
+
+QUAD = np.array([[30.3, 28.1], [92.7, 35.4], [88.2, 97.9], [25.6, 90.2]])
+FINE = 8
+
+
+def drawn(quad: np.ndarray, *, black: float = 40.0, white: float = 200.0, blur_px: float = 0.8) -> np.ndarray:
+    """An exact image of a dark quadrilateral, by means over 8 x 8 points of each pixel, then blurred."""
+    mask = np.zeros((128 * FINE, 128 * FINE), dtype=np.uint8)
+    points = np.rint(((quad + 0.5) * FINE - 0.5) * 256).astype(np.int32)
+    cv2.fillConvexPoly(mask, points, 255, cv2.LINE_8, 8)
+    share = cv2.resize(mask, (128, 128), interpolation=cv2.INTER_AREA) / 255.0
+    return cv2.GaussianBlur(white + (black - white) * share, (0, 0), blur_px)
+
+
+def noisy(levels: np.ndarray, seed: int, std: float = 2.0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return np.clip(np.rint(levels + rng.normal(0, std, levels.shape)), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_corners_are_found_from_a_pixel_away(seed) -> None:
+    """To 0.15 px: points of a side are 0.1 px off, and the square is drawn 0.06 px too large."""
+    start = QUAD + np.random.default_rng(seed).uniform(-1, 1, QUAD.shape)
+    fitted = fit_edges(noisy(drawn(QUAD), seed), start[None], 6)
+    assert np.abs(fitted.corners_px[0] - QUAD).max() < 0.15 < np.abs(start - QUAD).max()
+
+
+def test_cover_over_a_part_of_a_side_has_no_influence() -> None:
+    """A third of one side under a grey disc; fitted without weights, the negative control, it moves."""
+    levels = drawn(QUAD)
+    cv2.circle(levels, (60, 32), 10, 120.0, cv2.FILLED)
+    fitted = fit_edges(noisy(levels, 1), QUAD[None] + 0.5, 6)
+    assert np.abs(fitted.corners_px[0] - QUAD).max() < 0.2
+    assert fitted.supports[0] < 1.0
+
+
+def test_order_of_corners_is_kept_from_any_first_corner() -> None:
+    image = noisy(drawn(QUAD), 2)
+    turned = [fit_edges(image, np.roll(QUAD, -k, axis=0)[None], 6).corners_px[0] for k in range(4)]
+    for k in range(1, 4):
+        np.testing.assert_allclose(np.roll(turned[k], k, axis=0), turned[0], atol=1e-6)
+
+
+def test_no_quadrilateral_gives_no_corners() -> None:
+    assert fit_edges(noisy(drawn(QUAD), 3), np.zeros((0, 4, 2)), 6).corners_px.shape == (0, 4, 2)
+
+
+def test_square_of_nine_grey_levels_is_found_when_stretched() -> None:
+    """The search itself, the negative control, misses it."""
+    image = noisy(drawn(QUAD, black=100.0, white=109.0), 4, 1.0)
+
+    def finds(quads: np.ndarray) -> bool:
+        return bool((np.abs(quads.mean(axis=1) - QUAD.mean(axis=0)).max(axis=1) < 2).any())
+
+    assert finds(find_faint_quads(image, np.zeros((0, 4, 2)))) and not finds(find_quads(image))

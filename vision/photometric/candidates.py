@@ -1,0 +1,129 @@
+"""Candidates: quadrilaterals that resemble a marker, one for each place and id, outside known markers."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex
+from skyherd.vision.grey import Image
+from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
+from skyherd.vision.photometric.refine import START_SIGMA_PX
+from skyherd.vision.photometric.state import CameraState
+from skyherd.vision.search.decode import DecodedQuads, decode_quads, no_decoded_quads
+
+PALE_SHARE = 0.3
+"""While markers are known in an image, candidates whose cells show less than this share of the camera's usual
+print contrast are not fitted. Measured: markers of 8 to 30 px at noise up to 10 show 0.79 or more, those that
+are blurred three times as much as the others 0.36, and 95 % of the dark patches of ground that resemble
+markers 0.29 or less, which took a quarter of the detector's time in missions."""
+
+CORNER_ANISOTROPY_ERROR_PX = 1.0
+"""Accuracy of an anisotropy that is computed from a quadrilateral's corners, px. Chosen: corners are found to
+about a pixel. Within it, the plane's anisotropy is the better start."""
+
+
+@dataclass(frozen=True)
+class SearchPass:
+    """Result of one search of an image.
+
+    Attributes:
+        quads_px: (Q, 4, 2) corners of all quadrilaterals that were found, px.
+        candidates: the N of them that resemble a marker, after non-maximum suppression.
+        fits: of the N candidates, in their order.
+        good: (N,) whether each is accepted as a marker, after non-maximum suppression.
+        plane: common plane of the markers, as far as it is known afterwards.
+    """
+
+    quads_px: Array
+    candidates: DecodedQuads
+    fits: FitResults
+    good: BoolArray
+    plane: Plane
+
+    @property
+    def found(self) -> FitResults:
+        """Return the accepted markers."""
+        return self.fits.take(self.good)
+
+    @classmethod
+    def empty(cls, dictionary: str, plane: Plane, quads_px: Array | None = None) -> "SearchPass":
+        """Return a search without candidates; `dictionary` is that of the markers."""
+        quads_px = np.zeros((0, 4, 2)) if quads_px is None else quads_px
+        return cls(quads_px, no_decoded_quads(), no_fit_results(dictionary), np.zeros(0, dtype=bool), plane)
+
+    def joined(self, other: "SearchPass") -> "SearchPass":
+        """Return the results of this search followed by those of another, with the other's plane."""
+        return SearchPass(
+            np.concatenate([self.quads_px, other.quads_px]),
+            self.candidates.joined(other.candidates),
+            self.fits.joined(other.fits),
+            np.concatenate([self.good, other.good]),
+            other.plane,
+        )
+
+
+def find_candidates(
+    image: Image,
+    dictionary: str,
+    state: CameraState,
+    quads_px: Array,
+    known: LocalHomographies,
+    min_correlation: float,
+) -> DecodedQuads:
+    """Return the quadrilaterals that resemble a marker, the best one of each place and id.
+
+    Args:
+        image: grey, (height, width).
+        dictionary: of the markers.
+        state: of the camera.
+        quads_px: (Q, 4, 2) corners, px, clockwise as seen, beginning with any of the four.
+        known: markers that are known; nothing within them is a candidate.
+        min_correlation: of a quadrilateral's cells with those of the marker that it resembles most.
+    """
+    quads_px = quads_px[outside_markers(quads_px, known)]
+    decoded = decode_quads(image, quads_px, dictionary, state.sigma_px or START_SIGMA_PX)
+    if len(known) and state.print_contrast is not None:
+        decoded = decoded.take(decoded.print_contrasts >= PALE_SHARE * state.print_contrast)
+    start = LocalHomographies.of_corners(decoded.corners_px)
+    best = non_maximum_suppression(decoded.ids, start.centers, start.sides_px(), decoded.correlations)
+    return decoded.take(best & (decoded.correlations >= min_correlation))
+
+
+def outside_markers(quads_px: Array, known: LocalHomographies) -> BoolArray:
+    """Return which quadrilaterals (N, 4, 2) have their centre within no known marker."""
+    middles = to_complex(quads_px).mean(axis=1)
+    distance = np.abs(middles[:, None] - known.centers)
+    return np.asarray((distance > known.sides_px() / 2).all(axis=1))
+
+
+def non_maximum_suppression(
+    ids: IntArray, centers: ComplexArray, sides_px: Array, merits: Array
+) -> BoolArray:
+    """Return the mask (N,) kept by non-maximum suppression among overlapping detections of one id.
+
+    Two of one id overlap if their centres are less than half the shorter one's side apart, such as those of
+    both boundaries of a marker's border. The one of greater merit is kept.
+    """
+    reach_px = np.minimum(sides_px[:, None], sides_px) / 2
+    overlaps = (np.abs(centers[:, None] - centers) < reach_px) & (ids[:, None] == ids)
+    kept = np.ones(ids.size, dtype=bool)
+    for row in np.argsort(-merits):
+        if kept[row]:
+            kept &= ~overlaps[:, row]
+            kept[row] = True
+    return kept
+
+
+def unambiguous(fits: FitResults) -> FitResults:
+    """Return the fits whose id was found once, in ascending order of id."""
+    _, first, counts = np.unique(fits.ids, return_index=True, return_counts=True)
+    return fits.take(first[counts == 1])
+
+
+def on_plane(homographies: LocalHomographies, plane: Plane, middle: complex) -> LocalHomographies:
+    """Return homographies with the plane's anisotropies, where their own agree within corners' accuracy."""
+    squeezes = plane.squeezes(homographies.centers - middle) * homographies.arms.conj()
+    near = np.abs(squeezes - homographies.squeezes) < CORNER_ANISOTROPY_ERROR_PX
+    return replace(homographies, squeezes=np.where(near, squeezes, homographies.squeezes))

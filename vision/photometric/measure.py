@@ -1,0 +1,298 @@
+"""Measurement of candidates: fit, verify, refit, once, in this order.
+
+1. *Fit* the known pattern to the pixels: coarse first, then at full size with the blur that was found.
+2. *Verify*: a fit whose residual is noise, and every cell right, is a photometric measurement (`verify`).
+3. *Weigh* the rest: the log odds that each is a marker, by its readings at its edges (`likelihood`).
+4. *Refit* what may be a marker: to its visible pixels, then with a perspective of its own; and all under a
+   streak of motion if the image has one.
+5. *Decide* about the rest by their log odds: a marker beyond doubt is reported though no fit explains its
+   pixels. It is measured by a robust fit, or by its edges where that disagrees with them.
+   `FitResults.qualities` says which.
+
+A verified fit is not asked for its likelihood: of 36,000 shapes that are no markers none is verified
+(`benchmarks/clutter.py`), while one in a thousand true markers lies at a pose or blur that the likelihood's
+coarse grid misses.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, IntArray, to_points
+from skyherd.markers.dictionary import border_cells, cells_per_side, code_distance
+from skyherd.messages import Quality
+from skyherd.vision.grey import Image
+from skyherd.vision.photometric.candidates import SearchPass, non_maximum_suppression, on_plane
+from skyherd.vision.photometric.fitting.fit import USUAL_NOISE, image_middle
+from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
+from skyherd.vision.photometric.image_noise import image_noise
+from skyherd.vision.photometric.likelihood import MarkerOdds, log_likelihoods, marker_odds, min_log_odds
+from skyherd.vision.photometric.refine import (
+    START_SIGMA_PX,
+    fit_any_blur,
+    fit_visible_all_sizes,
+    is_promising,
+    with_streak,
+    with_usual_blur,
+)
+from skyherd.vision.photometric.state import CameraState
+from skyherd.vision.photometric.verify import (
+    MAX_BLUR_CELLS,
+    MAX_COVERED_SHARE,
+    MIN_MARKER_CONTRAST,
+    bits_are_right,
+    may_be_occluded,
+    residual_is_noise,
+    verified,
+)
+from skyherd.vision.search.decode import DecodedQuads
+from skyherd.vision.search.edges import EdgeFits, fit_edges
+
+COARSE_CELL_PX = 8.0
+"""Side of a cell from which on markers are fitted in a shrunk image at first, until their blur and bits are
+known. Chosen: cells then have 4 to 8 px; a larger value costs time with its square, at half of it bits of
+sharpened images are lost."""
+
+CORNER_STD_PX = 0.5
+"""Standard deviation of a corner by its edges against one by a fit, px. Chosen: half a pixel of blur and
+processing. A fit's pose costs `d² / 2 CORNER_STD_PX²` of log odds for each corner that is d px off."""
+
+MIN_OUTLINE_SHARE = 0.25
+"""Smallest brightening outwards from a marker's sides, as a share of its contrast. Chosen: a narrow card on
+black ground shows a half of it under blur, and a grid within a wider border next to nothing."""
+
+CHI2_MEDIAN, MIN_VARIANCE = 0.455, 1e-9
+"""Median of the chi-squared distribution with one degree of freedom, and the least variance that is divided
+by."""
+
+MIN_REFIT_LOG_ODDS = -2.0
+"""Log odds below which what is not verified is not refitted. Chosen: ten less than markers have. On
+photographs of clutter it spares two fifths of the time."""
+
+MAX_POSE_COST = 15.0
+"""A fit that costs more has found another place than the edges. Chosen: 1.4 px at each corner."""
+
+
+def measure_candidates(
+    image: Image, dictionary: str, state: CameraState, quads_px: Array, candidates: DecodedQuads
+) -> SearchPass:
+    """Return candidates fitted, verified and decided about, with the quadrilaterals that they are from."""
+    if not candidates.ids.size:
+        return SearchPass.empty(dictionary, state.plane, quads_px)
+    start = LocalHomographies.of_corners(candidates.corners_px)
+    start = on_plane(start, state.plane, image_middle(image))
+    fits, plane = _fit(image, dictionary, state, candidates.ids, start)
+    fits, good, plane = verify_and_refit(image, dictionary, fits, plane, start, candidates.corners_px)
+    found = fits.take(good)
+    shapes, merits = found.homographies, found.qualities * MAX_POSE_COST * 1e3 - found.noise_stds
+    good = good.copy()
+    good[good] = non_maximum_suppression(found.ids, shapes.centers, shapes.sides_px(), merits)
+    return SearchPass(quads_px, candidates, fits, good, plane)
+
+
+def _fit(
+    image: Image, dictionary: str, state: CameraState, ids: IntArray, start: LocalHomographies
+) -> tuple[FitResults, Plane]:
+    """Fit candidates, coarse ones first, and return the plane that they lie on.
+
+    Where no plane explains the known markers, a few others are not asked for one.
+    """
+    sigma_px, noise = state.sigma_px or START_SIGMA_PX, state.noise or USUAL_NOISE
+    fit = partial(fit_any_blur, image, dictionary, alone=not state.plane.shared)
+    coarse_px = COARSE_CELL_PX * cells_per_side(dictionary)
+    fits, plane = fit(ids, start, sigma_px, state.plane, noise, max_side_px=coarse_px)
+    promising = np.flatnonzero(is_promising(fits))
+    if not promising.size:
+        return fits, state.plane
+    coarse = fits.take(promising)
+    right = bits_are_right(coarse, code_distance(dictionary))
+    if right.any():
+        noise = weighted_median(coarse.noise_stds, coarse.pixels * right)
+    fine, plane = fit(coarse.ids, coarse.homographies, with_usual_blur(coarse), plane, noise)
+    return fits.put(promising, fine), plane if right.any() else state.plane
+
+
+def verify_and_refit(
+    image: Image,
+    dictionary: str,
+    fits: FitResults,
+    plane: Plane,
+    start: LocalHomographies,
+    corners_px: Array,
+) -> tuple[FitResults, BoolArray, Plane]:
+    """Verify fits, refit those that are not verified, and decide about the rest by likelihood.
+
+    A fit that is refused for its blur is not refitted: of several fits the one with the least blur would
+    pass, which has the largest error.
+
+    Args:
+        image: that was fitted, grey, (height, width).
+        dictionary: of the markers.
+        fits: of N markers.
+        plane: that they lie on.
+        start: (N,) where the fits began.
+        corners_px: (N, 4, 2) corners of the markers' quadrilaterals, px.
+
+    Returns:
+        The measurements, which of them (N,) are accepted, and the plane.
+    """
+    noise, distance = image_noise(image), code_distance(dictionary)
+    good = verified(fits, noise, distance)
+    floor = max(noise, weighted_median(fits.noise_stds, fits.pixels * good)) if good.any() else noise
+    rest = np.flatnonzero(~good)
+    edges = fit_edges(image, corners_px[rest], cells_per_side(dictionary))
+    odds = _best_odds(image, dictionary, edges.corners_px, _corners(fits.take(rest)))
+    has_outline = edges.rises >= MIN_OUTLINE_SHARE * odds.contrasts
+    odds = replace(odds, log_odds=np.where(has_outline, odds.log_odds, -np.inf))
+    fits = replace(fits, log_odds=_put(fits.log_odds, rest, odds.log_odds))
+    worth = good.copy()
+    worth[rest] = odds.log_odds > MIN_REFIT_LOG_ODDS
+    doubtful = np.flatnonzero((good | worth) & may_be_occluded(fits, floor))
+    if doubtful.size:
+        covered = fits.take(doubtful)
+        visible = fit_visible_all_sizes(image, dictionary, covered, with_usual_blur(covered), plane, floor)
+        is_good = verified(visible, noise, distance) & residual_is_noise(visible, floor)
+        fits, good = _replaced(fits, good, doubtful[is_good], visible.take(is_good))
+    legible = (fits.contrasts >= MIN_MARKER_CONTRAST) & (fits.blurs_cells <= MAX_BLUR_CELLS)
+    apart = np.flatnonzero(~good & worth & plane.shared & legible)
+    if apart.size:
+        alone, _ = fit_any_blur(
+            image,
+            dictionary,
+            fits.ids[apart],
+            start.take(apart),
+            START_SIGMA_PX,
+            Plane(),
+            floor,
+            alone=True,
+        )
+        is_good = verified(alone, noise, distance)
+        fits, good = _replaced(fits, good, apart[is_good], alone.take(is_good))
+    fits, good, plane = with_streak(image, dictionary, fits, good, plane, worth)
+    accepted = np.flatnonzero(~good[rest] & (odds.log_odds >= min_log_odds(dictionary)))
+    if accepted.size:
+        order = (odds.turns[accepted, None] + np.arange(4)) % 4
+        turned = np.take_along_axis(edges.corners_px[accepted], order[..., None], axis=1)
+        rows = rest[accepted]
+        unexplained = replace(
+            fits.take(rows),
+            ids=odds.ids[accepted],
+            blacks=odds.blacks[accepted],
+            contrasts=odds.contrasts[accepted],
+        )
+        outlines = EdgeFits(
+            turned,
+            edges.spreads_px[accepted],
+            edges.supports[accepted],
+            edges.variances[accepted],
+            edges.rises[accepted],
+        )
+        measured = _measured(image, dictionary, unexplained, plane, floor, outlines)
+        fits, good = _replaced(fits, good, rows, measured)
+    return fits, good, plane
+
+
+def _best_odds(image: Image, dictionary: str, edges_px: Array, fitted_px: Array) -> MarkerOdds:
+    """Evidence at the pose by the edges, or at that by the fit if that is more in spite of its distance.
+
+    The edges have no part in the pattern, so that clutter cannot be bent to resemble a marker. A fit to
+    clutter can, and pays for each corner that it moves.
+    """
+    odds = marker_odds(image, edges_px, dictionary)
+    costs = _pose_costs(fitted_px, edges_px)
+    rows = np.flatnonzero((odds.log_odds < min_log_odds(dictionary)) & (costs < MAX_POSE_COST))
+    if not rows.size:
+        return odds
+    fitted = marker_odds(image, fitted_px[rows], dictionary)
+    fitted = replace(fitted, log_odds=fitted.log_odds - costs[rows])
+    better = fitted.log_odds > odds.log_odds[rows]
+    return odds.put(rows[better], fitted.take(better))
+
+
+def _pose_costs(fitted_px: Array, edges_px: Array) -> Array:
+    """Return log odds (N,) that the distance of fitted corners from those by the edges costs."""
+    square = (np.nan_to_num(fitted_px - edges_px, nan=np.inf) ** 2).sum(axis=(1, 2))
+    return np.asarray(square / (2 * CORNER_STD_PX**2))
+
+
+def _measured(
+    image: Image, dictionary: str, fits: FitResults, plane: Plane, noise: float, edges: EdgeFits
+) -> FitResults:
+    """Measure accepted markers by the robust fit or the edges: the pose that explains the readings better."""
+    by_edges = _by_edges(fits, edges)
+    near = _pose_costs(_corners(fits), edges.corners_px) < MAX_POSE_COST
+    start = by_edges.put(np.flatnonzero(near), fits.take(near))
+    sigmas_px = with_usual_blur(start)
+    visible = fit_visible_all_sizes(image, dictionary, start, sigmas_px, plane, noise)
+    robust = np.flatnonzero(
+        (
+            log_likelihoods(image, _corners(visible), dictionary)
+            > log_likelihoods(image, edges.corners_px, dictionary)
+        )
+        & (_unexplained_shares(visible, dictionary) <= MAX_COVERED_SHARE)
+        & np.isfinite(visible.covariances).all(axis=(1, 2))
+        & (visible.contrasts > 0)
+    )
+    if not robust.size:
+        return by_edges
+    fitted = visible.take(robust)
+    measured = replace(
+        fitted,
+        covariances=_structure_factors(fitted)[:, None, None] * fitted.covariances,
+        qualities=np.full(robust.size, Quality.ROBUST.value),
+        log_odds=fits.log_odds[robust],
+    )
+    return by_edges.put(robust, measured)
+
+
+def _unexplained_shares(fits: FitResults, dictionary: str) -> Array:
+    """Return shares (N,) of the cells with a bit that a robust fit leaves unexplained."""
+    border = border_cells(dictionary)
+    bits = np.abs(fits.cell_means[:, border:-border, border:-border])
+    return np.asarray((bits > fits.contrasts[:, None, None] / 2).mean(axis=(1, 2)))
+
+
+def _structure_factors(fits: FitResults) -> Array:
+    """Factors (N,) by which residuals that are alike over a cell increase the variances of a pose.
+
+    Independent noise leaves cell means of variance `σ² / pixels of a cell`. Shade, halos and interlacing
+    leave more, and a pose varies with them as with noise of that much greater variance.
+    """
+    cells = np.square(fits.cell_means)
+    by_noise = fits.noise_stds**2 * cells.shape[1] * cells.shape[2] / np.maximum(fits.pixels, 1.0)
+    measured = np.median(cells, axis=(1, 2)) / CHI2_MEDIAN
+    return np.asarray(np.maximum(1.0, measured / np.maximum(by_noise, MIN_VARIANCE)))
+
+
+def _by_edges(fits: FitResults, edges: EdgeFits) -> FitResults:
+    """Return fits with the poses and covariances of the markers' edges."""
+    return replace(
+        fits,
+        homographies=LocalHomographies.of_quads(edges.corners_px),
+        covariances=edges.variances[:, :, None] * np.eye(3),
+        qualities=np.full(fits.ids.size, Quality.CORNERS.value),
+        boxes=np.zeros(fits.ids.size),
+    )
+
+
+def _corners(fits: FitResults) -> Array:
+    """Return corners (N, 4, 2), px, of fitted markers."""
+    return to_points(fits.homographies.images(SQUARE_CORNERS))
+
+
+def _put(values: Array, rows: IntArray, others: Array) -> Array:
+    values = values.copy()
+    values[rows] = others
+    return values
+
+
+def _replaced(
+    fits: FitResults, good: BoolArray, rows: IntArray, others: FitResults
+) -> tuple[FitResults, BoolArray]:
+    """Return fits with those at indices `rows` replaced, which are then good."""
+    good = good.copy()
+    good[rows] = True
+    return fits.put(rows, others), good

@@ -12,6 +12,7 @@ drawing: by detectors, and by the edges of the outline (`skyherd.vision.search.e
 import cv2
 import numpy as np
 import numpy.typing as npt
+from command import run
 
 from skyherd.geometry import Array
 from skyherd.markers.dictionary import marker_cells
@@ -82,4 +83,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -7,11 +7,13 @@ single images, and by OpenCV's detector; those of single images that following m
 """
 
 import argparse
+from itertools import islice
 from pathlib import Path
 
-import cv2
 import numpy as np
+from command import run
 
+from skyherd.files.video_reader import open_clip, read_clip
 from skyherd.messages import Detections
 from skyherd.vision import create_detector
 
@@ -43,24 +45,10 @@ def main() -> None:
     print("|---" * (4 + len(NAMES)) + "|")
     for path in given.videos:
         detectors = [create_detector(name, dictionary=given.dictionary) for name in NAMES]
-        capture, found, lost, gained, number, frame = (
-            cv2.VideoCapture(str(path)),
-            [0] * len(NAMES),
-            0,
-            0,
-            0,
-            -1,
-        )
-        while number < given.frames:
-            frame += 1
-            read, image = capture.read()
-            if not read:
-                break
-            if frame % given.every:
-                continue
-            grey = np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
-            grey = 255 - grey if given.inverted else grey
-            seen = [detector.detect(grey, time_s=frame / 25) for detector in detectors]
+        found, lost, gained, number = [0] * len(NAMES), 0, 0, 0
+        for frame in islice(read_clip(open_clip(path)), 0, given.frames * given.every, given.every):
+            image = 255 - frame.image if given.inverted else frame.image
+            seen = [detector.detect(image, time_s=frame.time_s) for detector in detectors]
             found = [total + len(one) for total, one in zip(found, seen, strict=True)]
             lost, gained = lost + missed(seen[1], seen[0]), gained + missed(seen[0], seen[1])
             number += 1
@@ -70,4 +58,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

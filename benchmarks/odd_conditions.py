@@ -19,83 +19,63 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from clutter import OVERSAMPLING
+from command import run
 
 from skyherd.files.atomic import write_text
-from skyherd.geometry import Array
-from skyherd.markers.dictionary import dictionary_size, marker_cells
+from skyherd.geometry import Array, apply_homography, inverse
+from skyherd.markers.blur_model import total_sigma_px
+from skyherd.markers.dictionary import cells_per_side, dictionary_size
 from skyherd.messages import Quality
+from skyherd.render import Camera, CameraPose, Ground, Quad, Renderer, Sensor, Shot
+from skyherd.render.camera.camera import homography_image_ground
 from skyherd.vision import create_detector
 
 SIZE_PX, SIDE_PX, IMAGES = (640, 480), 40.0, 4
-FINE, FOCAL_PX, MAX_TILT_DEG = 3, 800.0, 40.0
-"""Ground pixels along an image pixel, focal length of the camera, and its largest tilt."""
+FOCAL_PX, MAX_TILT_DEG, BLUR_PX = 800.0, 40.0, 0.6
+"""Size of an image and of markers at its centre, images of a condition; focal length, largest tilt, and blur
+of the lens."""
 
-COLUMNS, ROWS = 4, 3
-CARD_CELL_PX = 20
+COLUMNS, ROWS, GROUND_LEVEL = 4, 3, 128.0
 SAME_PLACE = 0.3
+"""Distance of centres of one marker at most, in its sides."""
+
 Grey = npt.NDArray[np.float32]
-"""Whiteness or grey levels of an image, (height, width)."""
-
-
-def marker_card(dictionary: str, marker: int, margin_cells: float) -> Grey:
-    """Return the whiteness of a marker on a white card of a margin in cells, `CARD_CELL_PX` for each cell."""
-    cells = marker_cells(dictionary, marker).astype(np.float32)
-    square = np.kron(0.05 + 0.9 * cells, np.ones((CARD_CELL_PX, CARD_CELL_PX), dtype=np.float32))
-    return np.pad(square, int(margin_cells * CARD_CELL_PX), constant_values=0.95)
-
-
-def camera(rng: np.random.Generator, max_tilt_deg: float) -> Array:
-    """Return the homography (3, 3) from the ground, px from its origin, to the image of a tilted camera."""
-    tilt, axis = np.radians(rng.uniform(0, max_tilt_deg)), rng.uniform(0, 2 * np.pi)
-    turn = np.array([[np.cos(axis), -np.sin(axis), 0], [np.sin(axis), np.cos(axis), 0], [0, 0, 1]])
-    lean = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
-    rotation = turn @ lean @ turn.T
-    intrinsics = np.array([[FOCAL_PX, 0, SIZE_PX[0] / 2], [0, FOCAL_PX, SIZE_PX[1] / 2], [0, 0, 1]])
-    return np.asarray(intrinsics @ np.column_stack([rotation[:, 0], rotation[:, 1], [0, 0, FOCAL_PX]]))
+"""Grey levels of an image, (height, width)."""
 
 
 def scene(dictionary: str, rng: np.random.Generator, margin_cells: float) -> tuple[Grey, Array, Array]:
-    """Return whiteness (height, width) of twelve markers, their ids (12,) and centres (12, 2), px."""
-    width, height = SIZE_PX
-    coarse = rng.uniform(0.35, 0.65, (24, 32)).astype(np.float32)
-    ground = cv2.resize(coarse, (2 * width * FINE, 2 * height * FINE), interpolation=cv2.INTER_CUBIC)
-    middle = np.array([width, height]) * FINE
-    ids = rng.permutation(min(dictionary_size(dictionary), 50))[: COLUMNS * ROWS]
-    grid = np.stack(np.meshgrid(np.arange(COLUMNS), np.arange(ROWS)), axis=-1).reshape(-1, 2)
-    places = (grid - [(COLUMNS - 1) / 2, (ROWS - 1) / 2]) * [width / COLUMNS, height / ROWS] * 0.85
-    places += rng.uniform(-12, 12, places.shape)
-    for marker, place in zip(ids.tolist(), places, strict=True):
-        card = marker_card(dictionary, marker, margin_cells)
-        angle, side = rng.uniform(0, 2 * np.pi), CARD_CELL_PX * len(marker_cells(dictionary, marker))
-        scale, half = SIDE_PX * FINE / side, card.shape[0] / 2 - 0.5
-        turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        shift = middle + FINE * place - turn @ [half, half]
-        cv2.warpAffine(
-            card,
-            np.column_stack([turn, shift]),
-            ground.shape[::-1],
-            ground,
-            cv2.INTER_AREA,
-            cv2.BORDER_TRANSPARENT,
-        )
-    to_ground = np.array([[1 / FINE, 0, -middle[0] / FINE], [0, 1 / FINE, -middle[1] / FINE], [0, 0, 1]])
-    view = camera(rng, MAX_TILT_DEG)
-    fine = np.array(
-        [[OVERSAMPLING, 0, (OVERSAMPLING - 1) / 2], [0, OVERSAMPLING, (OVERSAMPLING - 1) / 2], [0, 0, 1]]
-    )
-    size = width * OVERSAMPLING, height * OVERSAMPLING
-    drawn = cv2.warpPerspective(
-        ground, fine @ view @ to_ground, size, flags=cv2.INTER_LINEAR, borderValue=0.5
-    )
-    small = cv2.resize(drawn, (width, height), interpolation=cv2.INTER_AREA)
-    seen = np.column_stack([places, np.ones(len(places))]) @ view.T
-    return np.asarray(small, dtype=np.float32), ids, seen[:, :2] / seen[:, 2:]
+    """Return the grey levels (height, width) of twelve markers, their ids (12,) and centres (12, 2), px."""
+    camera = Camera(SIZE_PX, focal_px=FOCAL_PX)
+    tilt_rad, axis_rad = np.radians(rng.uniform(0, MAX_TILT_DEG)), rng.uniform(0, 2 * np.pi)
+    tilts_rad = float(tilt_rad * np.cos(axis_rad)), float(tilt_rad * np.sin(axis_rad))
+    height_m = FOCAL_PX / SIDE_PX * float(np.prod(np.cos(tilts_rad)))
+    pose = CameraPose((0.0, 0.0), height_m, rng.uniform(-np.pi, np.pi), tilts_rad)
+    ids = np.sort(rng.permutation(min(dictionary_size(dictionary), 50))[: COLUMNS * ROWS])
+    grid = np.stack(np.meshgrid(np.arange(COLUMNS), np.arange(ROWS)), axis=-1).reshape(-1, 2) + 0.5
+    seen_px = grid * SIZE_PX / [COLUMNS, ROWS] + rng.uniform(-12, 12, grid.shape)
+    places_m = apply_homography(inverse(homography_image_ground(camera, pose)), seen_px)
+    headings_rad = rng.uniform(-np.pi, np.pi, len(ids))
+    margins = [
+        Quad(strip, GROUND_LEVEL)
+        for place_m, heading_rad in zip(places_m, headings_rad, strict=True)
+        for strip in outer_strips(dictionary, place_m, heading_rad, margin_cells)
+    ]
+    shot = Shot(camera, pose, ids, places_m, headings_rad, occluders=margins)
+    ground = Ground(int(rng.integers(1000)), mean=GROUND_LEVEL, sigma_px=total_sigma_px(BLUR_PX))
+    renderer = Renderer(dictionary, 1.0, ground, Sensor(0.0, rng), psf_px=BLUR_PX)
+    return renderer.render(shot).astype(np.float32), ids, renderer.truth(shot).centers_px
 
 
-def exposed(white: Grey) -> Grey:
-    """Return grey levels of whiteness under usual light."""
-    return 20.0 + 190.0 * white
+def outer_strips(dictionary: str, place_m: Array, heading_rad: float, margin_cells: float) -> list[Array]:
+    """Return four strips (4, 2), m, over the white zone of a marker of 1 m beyond a margin in cells."""
+    cell_m = 1 / cells_per_side(dictionary)
+    low, high = 0.5 + margin_cells * cell_m, 0.5 + 1.5 * cell_m
+    if margin_cells >= 1:
+        return []
+    strip = np.array([[low, -high], [high, -high], [high, high], [low, high]])
+    angles = heading_rad + np.arange(4) * np.pi / 2
+    turns = [np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) for a in angles]
+    return [place_m + strip @ turn.T for turn in turns]
 
 
 def finished(levels: Grey, rng: np.random.Generator, noise: float = 2.0) -> npt.NDArray[np.uint8]:
@@ -392,9 +372,8 @@ def measure(name: str, dictionary: str, detectors: dict[str, Any], *, tuning: bo
     row |= {key: {"found": 0, "wrong": 0, "off_px": [], "nees": [], "plain": []} for key in detectors}
     for number in range(IMAGES):
         rng = np.random.default_rng([900 if tuning else 100, number, *name.encode()[:8]])
-        white, ids, centers = scene(dictionary, rng, margin)
-        smooth = np.asarray(cv2.GaussianBlur(white, (0, 0), 0.5), dtype=np.float32)
-        image = finished(change(exposed(smooth), centers, rng, strength), rng)
+        levels, ids, centers = scene(dictionary, rng, margin)
+        image = finished(change(levels, centers, rng, strength), rng)
         row["markers"] += len(ids)
         for key, detector in detectors.items():
             seen, one = detector.detect(image), row[key]
@@ -458,4 +437,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -13,10 +13,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
+from command import numbers, run
 
 from skyherd.files.atomic import write_text
-from skyherd.geometry import Array
+from skyherd.geometry import Array, apply_homography, inverse
 from skyherd.markers.dictionary import marker_cells
+from skyherd.render import Camera, CameraPose
+from skyherd.render.camera.camera import homography_image_ground
 from skyherd.vision import create_detector
 
 OVERSAMPLING, CELL_PX = 4, 16
@@ -45,24 +48,32 @@ def view(
     image: npt.NDArray[np.float32], side: float, side_px: float, tilt_deg: float, rng: np.random.Generator
 ) -> tuple[npt.NDArray[np.float32], Array]:
     """Return whiteness seen by a tilted camera, and the homography from the board to its pixels."""
+    scale = side_px / side
+    size = int(1.1 * scale * np.hypot(*image.shape))
+    camera = Camera((size, size), focal_px=3.0 * side_px * COLUMNS)
+    tilt_rad = np.radians(tilt_deg)  # the distance along the optical axis is the same at any tilt
+    height_m = camera.focal_px * np.cos(tilt_rad)
+    pose = CameraPose((0.0, 0.0), height_m, rng.uniform(-np.pi, np.pi), (tilt_rad, 0.0))
+    to_image = homography_image_ground(camera, pose)
+    middle = apply_homography(inverse(to_image), np.full(2, (size - 1) / 2))
     height, width = image.shape
-    scale, tilt, turn = side_px / side, np.radians(tilt_deg), rng.uniform(0, 2 * np.pi)
-    focal = 12 * side_px * COLUMNS / 4
-    rotation = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
-    lean = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
-    pose = lean @ rotation
-    reach = scale * np.hypot(height, width)
-    size = int(reach * 1.1)
-    intrinsics = np.array([[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]])
-    to_plane = np.array([[scale, 0, -scale * width / 2], [0, scale, -scale * height / 2], [0, 0, 1]])
-    homography = intrinsics @ np.column_stack([pose[:, 0], pose[:, 1], [0, 0, focal]]) @ to_plane
-    fine = np.array([[OVERSAMPLING, 0, 1.5], [0, OVERSAMPLING, 1.5], [0, 0, 1]])
-    small, back = image, np.eye(3)
-    while scale * OVERSAMPLING * width / small.shape[1] < 0.5:
-        small = cv2.resize(small, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    to_ground = np.array(
+        [
+            [scale, 0, middle[0] - scale * (width - 1) / 2],
+            [0, -scale, middle[1] + scale * (height - 1) / 2],
+            [0, 0, 1],
+        ]
+    )
+    homography = to_image @ to_ground
+    shrunk, back = image, np.eye(3)
+    while scale * OVERSAMPLING * width / shrunk.shape[1] < 0.5:
+        shrunk = cv2.resize(shrunk, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         back = back @ np.array([[2, 0, 0.5], [0, 2, 0.5], [0, 0, 1.0]])
+    fine = np.array([[OVERSAMPLING, 0, 1.5], [0, OVERSAMPLING, 1.5], [0, 0, 1]])
     big = (size * OVERSAMPLING,) * 2
-    drawn = cv2.warpPerspective(small, fine @ homography @ back, big, flags=cv2.INTER_LINEAR, borderValue=1.0)
+    drawn = cv2.warpPerspective(
+        shrunk, fine @ homography @ back, big, flags=cv2.INTER_LINEAR, borderValue=1.0
+    )
     return cv2.resize(drawn, (size, size), interpolation=cv2.INTER_AREA), homography
 
 
@@ -72,9 +83,9 @@ def main() -> None:
     )
     parser.add_argument("--dictionary", default="APRILTAG_36h11")
     parser.add_argument("--detectors", default="photometric,opencv,apriltag3,locus-tag")
-    parser.add_argument("--sides", default=",".join(map(str, SIDES_PX)))
-    parser.add_argument("--tilts", default=",".join(map(str, TILTS_DEG)))
-    parser.add_argument("--contrasts", default=",".join(map(str, CONTRASTS)))
+    parser.add_argument("--sides", type=numbers, default=SIDES_PX)
+    parser.add_argument("--tilts", type=numbers, default=TILTS_DEG)
+    parser.add_argument("--contrasts", type=numbers, default=CONTRASTS)
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--table", type=Path)
     given = parser.parse_args()
@@ -89,9 +100,9 @@ def main() -> None:
     print("\n".join(lines))
     for touching in (False, True):
         image, centers, side = board(given.dictionary, touching=touching)
-        for side_px in map(float, given.sides.split(",")):
-            for tilt in map(float, given.tilts.split(",")):
-                for contrast in map(float, given.contrasts.split(",")):
+        for side_px in given.sides:
+            for tilt in given.tilts:
+                for contrast in given.contrasts:
                     rng = np.random.default_rng(
                         [given.tuning, touching, int(side_px), int(tilt), int(100 * contrast)]
                     )
@@ -99,8 +110,7 @@ def main() -> None:
                     white = cv2.GaussianBlur(white, (0, 0), BLUR_PX)
                     levels = 110 + contrast * 170 * (white - 0.5) + rng.normal(0, NOISE, white.shape)
                     shown = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
-                    seen = np.column_stack([centers, np.ones(len(centers))]) @ homography.T
-                    truth = seen[:, :2] / seen[:, 2:]
+                    truth = apply_homography(homography, centers)
                     found, wrong = [], []
                     for detector in detectors.values():
                         out = detector.detect(shown)
@@ -121,4 +131,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run(main)

@@ -116,6 +116,12 @@ def non_maximum_suppression(
     return kept
 
 
+def within_better(centers: ComplexArray, sides_px: Array, merits: Array) -> BoolArray:
+    """Return which of N markers (N,) have their centre within another one of greater merit, of any id."""
+    apart = np.abs(centers[:, None] - centers)
+    return np.asarray(((apart < sides_px / 2) & (merits[:, None] < merits)).any(axis=1))
+
+
 def unambiguous(fits: FitResults) -> FitResults:
     """Return the fits whose id was found once, in ascending order of id."""
     _, first, counts = np.unique(fits.ids, return_index=True, return_counts=True)

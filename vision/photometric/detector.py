@@ -36,6 +36,7 @@ from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.measure import measure_candidates
 from skyherd.vision.photometric.refine import with_usual_blur
 from skyherd.vision.photometric.state import CameraState
+from skyherd.vision.photometric.tracks import no_tracks
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads
 from skyherd.vision.search.faint import find_faint_quads
@@ -117,10 +118,9 @@ class PhotometricDetector:
         state = self.states.get(unit_id, CameraState()) if self.following else CameraState()
         followed = follow(image, self.dictionary, state, time_s)
         found = followed.found
-        if followed.is_missing and len(found.ids) < MIN_FOLLOWED_SHARE * np.count_nonzero(
-            state.tracks.missed == 0
-        ):
+        if followed.is_missing and len(found.ids) < MIN_FOLLOWED_SHARE * len(state.tracks.seen.ids):
             followed, found = replace(followed, plane=Plane()), self._none
+            state = replace(state, tracks=no_tracks())
         state = replace(state, plane=followed.plane, unsearched=state.unsearched + 1)
         is_amiss = followed.is_missing or not len(found.ids)
         if is_amiss or self._is_due(state):
@@ -246,13 +246,14 @@ class DeferringDetector(PhotometricDetector):
         part = -1 if state is None else state.unsearched - (LOOK_AROUND_INTERVAL - PARTS + 1)
         if state is None or part < 0:
             return
-        known = state.tracks.homographies
+        known = state.tracks.seen.homographies
         known_px = to_points(known.images(SQUARE_CORNERS))
         correlation = CLEAR_CORRELATION if part else MIN_CORRELATION
         searched = self._measured(image, state, self._quads(part, image, known_px), known, correlation)
         found, state = searched.found, replace(state, plane=searched.plane)
         if found.ids.size:
-            tracks = state.tracks.with_others(found.ids, found.homographies, with_usual_blur(found))
+            last_s = state.tracks.times_s.max(initial=0.0)
+            tracks = state.tracks.with_others(last_s, found.ids, found.homographies, with_usual_blur(found))
             state = replace(state, tracks=tracks)
         self.states[unit_id] = replace(state, unsearched=0) if part >= PARTS - 1 else state
 

@@ -17,6 +17,7 @@ import numpy as np
 from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, ComplexArray, IntArray
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.row_record import RowRecord
 from skyherd.vision.search.quads import find_quads
 
 MAX_SHARE = 0.5
@@ -45,22 +46,22 @@ reason."""
 
 
 @dataclass(frozen=True)
-class Tracks:
-    """The markers being followed, as they were in the last image.
+class Tracks(RowRecord):
+    """The N markers being followed, each as it was last seen.
 
     Attributes:
-        time_s: when the last image was taken.
-        ids: (N,) marker ids.
-        homographies: of the markers in the last image.
+        ids: (N,) marker ids, ascending.
+        times_s: (N,) when each was last seen.
+        homographies: of the markers when they were last seen.
         velocities: (N,) of the centres, px/s, complex; zero for a marker seen once.
         arm_log_rates: (N,) rates of the arms' logarithms, 1/s: real part growth, imaginary part rotation.
         on_arc: (N,) whether the centres' steps turn and grow with the arms.
         sigmas_px: (N,) standard deviations of the blur, lens and pixel together, px.
-        missed: (N,) images in a row in which the marker was not found; it is predicted on meanwhile.
+        missed: (N,) images since then in which the marker was not found.
     """
 
-    time_s: float
     ids: IntArray
+    times_s: Array
     homographies: LocalHomographies
     velocities: ComplexArray
     arm_log_rates: ComplexArray
@@ -68,9 +69,10 @@ class Tracks:
     sigmas_px: Array
     missed: IntArray
 
-    def elapsed_s(self, time_s: float) -> float:
-        """Return the time since the last image, s; 1 if the images' times do not increase."""
-        return time_s - self.time_s if time_s > self.time_s else 1.0
+    @property
+    def seen(self) -> "Tracks":
+        """The tracks of markers that the last image showed."""
+        return self.take(self.missed == 0)
 
     def predicted(self, time_s: float) -> LocalHomographies:
         """Return the homographies expected at `time_s`.
@@ -78,10 +80,10 @@ class Tracks:
         Arms go on turning and growing at their rates; so do the steps of centres `on_arc`, while the other
         centres go on straight. The squeezes, which are fixed in image axes, turn with the arms.
         """
-        elapsed = self.elapsed_s(time_s)
-        turn = np.exp(self.arm_log_rates * elapsed)
+        elapsed_s = self._elapsed_s(time_s)
+        turn = np.exp(self.arm_log_rates * elapsed_s)
         return LocalHomographies(
-            centers=self.homographies.centers + self.velocities * np.where(self.on_arc, turn, 1) * elapsed,
+            centers=self.homographies.centers + self.velocities * np.where(self.on_arc, turn, 1) * elapsed_s,
             arms=self.homographies.arms * turn,
             squeezes=self.homographies.squeezes * turn.conj(),
             horizons=self.homographies.horizons,
@@ -92,105 +94,49 @@ class Tracks:
     ) -> "Tracks":
         """Return the tracks after an image at `time_s` that shows markers `ids` (N,) at `homographies`.
 
-        Markers that were followed before get a velocity. Markers that are not among `ids` are predicted on
-        for `MAX_MISSED` images. Ids ascend.
+        Markers that were followed before get a velocity. Markers that are not among `ids` are kept for
+        `MAX_MISSED` images. Ids ascend.
         """
-        elapsed = self.elapsed_s(time_s)
+        now, before = np.nonzero(ids[:, None] == self.ids)
+        last, elapsed_s = self.take(before), self._elapsed_s(time_s)[before]
         velocities, rates = np.zeros((2, ids.size), dtype=complex)
         on_arc = np.ones(ids.size, dtype=bool)
-        now, before = np.nonzero(ids[:, None] == self.ids)
-        velocities[now] = (homographies.centers[now] - self.homographies.centers[before]) / elapsed
-        rates[now] = np.log(homographies.arms[now] / self.homographies.arms[before]) / elapsed
-        straight = self.velocities[before]
-        turned = straight * np.exp(self.arm_log_rates[before] * elapsed)
-        on_arc[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - straight)
-        seen = Tracks(
-            time_s,
-            ids,
-            homographies,
-            velocities,
-            rates,
-            on_arc,
-            sigmas_px,
-            np.zeros(ids.size, dtype=np.int64),
-        )
-        missing = np.flatnonzero(~np.isin(self.ids, ids) & (self.missed < MAX_MISSED))
-        if not missing.size:
-            return seen
-        coasting = Tracks(
-            time_s,
-            self.ids[missing],
-            self.predicted(time_s).take(missing),
-            self.velocities[missing],
-            self.arm_log_rates[missing],
-            self.on_arc[missing],
-            self.sigmas_px[missing],
-            self.missed[missing] + 1,
-        )
-        return seen._joined(coasting)
+        velocities[now] = (homographies.centers[now] - last.homographies.centers) / elapsed_s
+        rates[now] = np.log(homographies.arms[now] / last.homographies.arms) / elapsed_s
+        turned = last.velocities * np.exp(last.arm_log_rates * elapsed_s)
+        on_arc[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - last.velocities)
+        times_s, missed = np.full(ids.size, time_s), np.zeros(ids.size, dtype=np.int64)
+        seen = Tracks(ids, times_s, homographies, velocities, rates, on_arc, sigmas_px, missed)
+        missing = self.take(~np.isin(self.ids, ids) & (self.missed < MAX_MISSED))
+        return seen._with(replace(missing, missed=missing.missed + 1))
 
-    def _joined(self, others: "Tracks") -> "Tracks":
-        """Return the tracks together with others of the same image, in ascending order of id."""
-        order = np.argsort(np.concatenate([self.ids, others.ids]))
-        return Tracks(
-            time_s=self.time_s,
-            ids=np.concatenate([self.ids, others.ids])[order],
-            homographies=self.homographies.joined(others.homographies).take(order),
-            velocities=np.concatenate([self.velocities, others.velocities])[order],
-            arm_log_rates=np.concatenate([self.arm_log_rates, others.arm_log_rates])[order],
-            on_arc=np.concatenate([self.on_arc, others.on_arc])[order],
-            sigmas_px=np.concatenate([self.sigmas_px, others.sigmas_px])[order],
-            missed=np.concatenate([self.missed, others.missed])[order],
-        )
+    def with_others(
+        self, time_s: float, ids: IntArray, homographies: LocalHomographies, sigmas_px: Array
+    ) -> "Tracks":
+        """Return the tracks if the last image, at `time_s`, shows markers `ids` (N,) at `homographies`, too.
 
-    def _taken(self, rows: IntArray) -> "Tracks":
-        """Return the tracks of some rows."""
-        return Tracks(
-            self.time_s,
-            self.ids[rows],
-            self.homographies.take(rows),
-            self.velocities[rows],
-            self.arm_log_rates[rows],
-            self.on_arc[rows],
-            self.sigmas_px[rows],
-            self.missed[rows],
-        )
-
-    def with_others(self, ids: IntArray, homographies: LocalHomographies, sigmas_px: Array) -> "Tracks":
-        """Return the tracks if the last image shows markers `ids` (N,) at `homographies`, too.
-
-        They are taken to stand still. What is at two places then is not followed any more. Ids ascend.
+        They are taken to stand still. An id at two places is not followed any more. Ids ascend.
         """
-        kept = np.flatnonzero(~np.isin(self.ids, ids))
-        followed = self.ids[self.missed == 0]
-        once = np.flatnonzero(((ids[:, None] == ids).sum(axis=1) == 1) & ~np.isin(ids, followed))
-        rest = np.zeros(once.size, dtype=complex)
-        others = Tracks(
-            self.time_s,
-            ids[once],
-            homographies.take(once),
-            rest,
-            rest,
-            np.ones(once.size, dtype=bool),
-            sigmas_px[once],
-            np.zeros(once.size, dtype=np.int64),
-        )
-        return self._taken(kept)._joined(others)
+        is_once = (ids[:, None] == ids).sum(axis=1) == 1
+        once = np.flatnonzero(is_once & ~np.isin(ids, self.seen.ids))
+        others = no_tracks().updated(time_s, ids[once], homographies.take(once), sigmas_px[once])
+        return self.take(~np.isin(self.ids, ids))._with(others)
+
+    def _elapsed_s(self, time_s: float) -> Array:
+        """Return the times (N,) since markers were seen; 1 s for each image if times do not increase."""
+        return np.where(time_s > self.times_s, time_s - self.times_s, 1.0 + self.missed)
+
+    def _with(self, others: "Tracks") -> "Tracks":
+        """Return these tracks and others, in ascending order of id."""
+        both = self.joined(others)
+        return both.take(np.argsort(both.ids, kind="stable"))
 
 
 def no_tracks() -> Tracks:
-    """Return tracks of no marker, at time 0."""
-    empty = np.zeros(0, dtype=complex)
-    return Tracks(
-        time_s=0.0,
-        ids=np.zeros(0, dtype=np.int64),
-        homographies=LocalHomographies(empty, empty, empty, empty),
-        velocities=empty,
-        arm_log_rates=empty,
-        on_arc=np.zeros(0, dtype=bool),
-        sigmas_px=np.zeros(0),
-        missed=np.zeros(0, dtype=np.int64),
-    )
+    """Return tracks of no marker."""
+    empty, numbers = np.zeros(0, dtype=complex), np.zeros(0, dtype=np.int64)
+    places = LocalHomographies(empty, empty, empty, empty)
+    return Tracks(numbers, np.zeros(0), places, empty, empty, numbers.astype(bool), np.zeros(0), numbers)
 
 
 def in_view(homographies: LocalHomographies, image_shape: tuple[int, ...]) -> BoolArray:

@@ -5,16 +5,17 @@ blurred or noisy markers, down to two pixels a cell, thus still correlate best w
 candidate is rejected for a wrong bit: the fit decides with all pixels.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex
 from skyherd.markers.dictionary import cells_per_side, dictionary_size, marker_cells
 from skyherd.vision.blurred_cells import blurred_darkness, standardised
+from skyherd.vision.grey import sample_grey
 from skyherd.vision.row_record import RowRecord
 
 SAMPLES_PER_CELL = 2
@@ -39,6 +40,9 @@ little on the blur, and a smaller ratio needs more memory."""
 MIN_CELL_DEVIATION = 1.5
 """Smallest standard deviation of a quadrilateral's cells, grey levels. Chosen: uniform ground and noise have
 less."""
+
+MIN_DIVISOR = 1e-9
+"""Smallest magnitude of a divisor of homographies. Chosen far below that of any quadrilateral."""
 
 MIN_WHITE = 1.0
 """Smallest white level in the divisor of contrasts, grey levels. Chosen: markers are printed on white."""
@@ -143,6 +147,16 @@ class BlurredCodes:
     deviations: Array
 
 
+def blurred_codes(dictionary: str, blur_cells: float) -> BlurredCodes:
+    """Return the codes of a dictionary under the tabulated blur nearest to `blur_cells`."""
+    return _codes(dictionary, _bucket(blur_cells))
+
+
+def _bucket(blur_cells: float) -> int:
+    """Return the number of the tabulated blur nearest to a blur, in cells."""
+    return round(math.log(blur_cells) / math.log(BLUR_STEP))
+
+
 @lru_cache(maxsize=32)
 def _codes(dictionary: str, bucket: int) -> BlurredCodes:
     """Return the codes of a dictionary under a blur of `BLUR_STEP ** bucket` cells. The cache holds 32."""
@@ -158,14 +172,12 @@ def _read_cells(image: npt.NDArray[np.uint8], corners: ComplexArray, n_cells: in
     """Return the grey levels (N, n²) of the cells in quadrilaterals (N, 4), row-major from corner 0."""
     samples = SAMPLES_PER_CELL
     at = (np.arange(samples * n_cells) + 0.5) / (samples * n_cells)
-    points = _square_to_quads(corners, at[None, :], at[:, None]).reshape(len(corners), -1)
-    u, v = points.real.astype(np.float32), points.imag.astype(np.float32)
-    grey = cv2.remap(image, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    grey = sample_grey(image, square_to_quads(corners, at[None, :], at[:, None]))
     cells = grey.reshape(-1, n_cells, samples, n_cells, samples).mean(axis=(2, 4), dtype=np.float32)
     return np.asarray(cells.reshape(len(corners), -1))
 
 
-def _square_to_quads(corners: ComplexArray, x: Array, y: Array) -> ComplexArray:
+def square_to_quads(corners: ComplexArray, x: Array, y: Array) -> ComplexArray:
     """Return the images (N, ...) of points of the unit square under homographies to quadrilaterals (N, 4)."""
     first, second, third, fourth = (corner[:, None, None] for corner in corners.T)
     a, b, c = second - third, fourth - third, first - second + third - fourth
@@ -173,7 +185,12 @@ def _square_to_quads(corners: ComplexArray, x: Array, y: Array) -> ComplexArray:
     def cross(p: ComplexArray, q: ComplexArray) -> Array:
         return np.asarray((p.conj() * q).imag)
 
-    area = cross(a, b)
+    area = _away_from_zero(cross(a, b))
     g, h = cross(c, b) / area, cross(a, c) / area
     top = first + x * (second - first + g * second) + y * (fourth - first + h * fourth)
-    return np.asarray(top / (1 + g * x + h * y))
+    return np.asarray(top / _away_from_zero(1 + g * x + h * y))
+
+
+def _away_from_zero(values: Array) -> Array:
+    """Return values whose magnitude is at least `MIN_DIVISOR`: degenerate quadrilaterals read any pixel."""
+    return np.where(np.abs(values) < MIN_DIVISOR, MIN_DIVISOR, values)

@@ -7,13 +7,13 @@ glare, an occlusion or a neighbour over a part of a side thus have little weight
 intersections of the lines. The result does not depend on the marker's cells.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
-from skyherd.geometry import Array, ComplexArray, to_complex, to_points
-from skyherd.vision.grey import Image
+from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
+from skyherd.vision.grey import Image, sample_grey
+from skyherd.vision.row_record import RowRecord
 
 NORMALS = 24
 """Number of normals of a side. Chosen: more add little, because neighbouring normals share pixels."""
@@ -40,11 +40,16 @@ INDEPENDENT_POINTS, MIN_SUPPORT, BIAS_PX = 3.0, 0.3, 0.04
 and processing shift a side by, px. Measured over 16 of the conditions of `benchmarks/odd_conditions.py`:
 centres are off by 0.45 times the spread in the median."""
 
+MEDIAN_PER_SIGMA, MIN_INLIER_WEIGHT, MIN_CROSSING = 0.6745, 0.2, 1e-3
+"""Median of the absolute value of a normal deviate; weight from which on an edge point is an inlier; smallest
+sine between two sides that meet. Derived; chosen; chosen."""
+
 MIN_DIVISOR = 1e-9
+"""Smallest length and weight that is divided by."""
 
 
 @dataclass(frozen=True)
-class EdgeFits:
+class EdgeFits(RowRecord):
     """Refined corners of N quadrilaterals.
 
     Attributes:
@@ -60,6 +65,11 @@ class EdgeFits:
     supports: Array
     variances: Array
     rises: Array
+
+    def turned(self, turns: IntArray) -> "EdgeFits":
+        """Return the fits with corner `turns` (N,) of each as the first."""
+        order = (turns[:, None] + np.arange(4)) % 4
+        return replace(self, corners_px=np.take_along_axis(self.corners_px, order[..., None], axis=1))
 
 
 def fit_edges(image: Image, corners_px: Array, n_cells: int) -> EdgeFits:
@@ -84,7 +94,7 @@ def fit_edges(image: Image, corners_px: Array, n_cells: int) -> EdgeFits:
         feet = corners[..., None] + sides[..., None] * along
         offsets = reach[:, None] * np.arange(-STEPS, STEPS + 1) / STEPS
         at = feet[..., None] + outward[..., None, None] * offsets[:, None, None, :]
-        grey = _sampled(image, at)
+        grey = sample_grey(image, at)
         edges, weights = _edges_on_normals(grey, offsets)
         rises = np.median(np.maximum(np.diff(grey, axis=-1), 0.0).sum(axis=-1), axis=(1, 2))
         shift, tilt, spreads, supports = _robust_lines(along - 0.5, edges, weights)
@@ -105,18 +115,6 @@ def _variances(spreads_px: Array, supports: Array, sides_px: Array) -> Array:
     length = (1 - 2 * END_SHARE) * np.maximum(sides_px, 1.0)
     turn = 3 * shift / length**2
     return np.column_stack([shift / 2, shift / 2, turn])
-
-
-def _sampled(image: Image, at: ComplexArray) -> Array:
-    """Return the grey levels at points of any shape, by bilinear interpolation."""
-    flat = at.reshape(len(at), -1)
-    out = np.empty(flat.shape, dtype=np.float32)
-    step = max(1, 30000 // max(flat.shape[1], 1))
-    u, v = (np.clip(part, -1e4, 3e4).astype(np.float32) for part in (flat.real, flat.imag))
-    for low in range(0, len(flat), step):
-        part = slice(low, low + step)
-        out[part] = cv2.remap(image, u[part], v[part], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(out.reshape(at.shape), dtype=float)
 
 
 def _edges_on_normals(grey: Array, offsets: Array) -> tuple[Array, Array]:
@@ -140,17 +138,17 @@ def _robust_lines(along: Array, edges: Array, weights: Array) -> tuple[Array, Ar
         x, y = along - mean_x[..., None], edges - mean_y[..., None]
         slope = (current * x * y).sum(axis=-1) / np.maximum((current * x * x).sum(axis=-1), MIN_DIVISOR)
         left = y - slope[..., None] * x
-        spread = np.maximum(np.median(np.abs(left), axis=(1, 2)) / 0.6745, MIN_SPREAD_PX)
+        spread = np.maximum(np.median(np.abs(left), axis=(1, 2)) / MEDIAN_PER_SIGMA, MIN_SPREAD_PX)
         away = left / (TUKEY_SIGMAS * spread[:, None, None])
         inlier = np.where(np.abs(away) < 1, (1 - away**2) ** 2, 0.0)
         current = base * inlier
-    return mean_y - slope * mean_x, slope, spread, (inlier > 0.2).mean(axis=(1, 2))
+    return mean_y - slope * mean_x, slope, spread, (inlier > MIN_INLIER_WEIGHT).mean(axis=(1, 2))
 
 
 def _meeting(points: ComplexArray, directions: ComplexArray, otherwise: ComplexArray) -> ComplexArray:
     """Return the intersections (N, 4) of adjacent sides, or `otherwise` for parallel sides."""
     before, its = np.roll(points, 1, axis=1), np.roll(directions, 1, axis=1)
     crossing = (its.conj() * directions).imag
-    meets = np.abs(crossing) > 1e-3
+    meets = np.abs(crossing) > MIN_CROSSING
     ahead = ((points - before).conj() * directions).imag / np.where(meets, crossing, 1.0)
     return np.asarray(np.where(meets, before + its * ahead, otherwise))

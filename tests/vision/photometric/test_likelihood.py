@@ -9,8 +9,17 @@ import pytest
 from skyherd.markers.dictionary import marker_cells
 from skyherd.messages import Quality
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.photometric import likelihood
+from skyherd.vision.photometric import likelihood, pattern_fit
 from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
+from skyherd.vision.photometric.pattern_fit import fit_patterns
+from skyherd.vision.photometric.readings import (
+    MIN_CONTRAST,
+    PARTS,
+    Readings,
+    draw_codes,
+    nearest_codes,
+    on_marker,
+)
 
 CELL_PX, MARGIN_PX, BLUR_PX = 6, 30, 1.0
 
@@ -45,7 +54,8 @@ def flipped(cells: np.ndarray, *bits: tuple[int, int]) -> np.ndarray:
 
 
 def test_threshold_is_below_the_most_that_16_bits_can_show() -> None:
-    most = 16 * math.log(2) - math.log(4 * 50) - math.log(likelihood.BITS_ODDS)
+    most = 16 * math.log(2 * 0.98) - math.log(4 * 50) - math.log(likelihood.BITS_ODDS)
+    assert likelihood.most_log_odds("4X4_50") == pytest.approx(most) == pytest.approx(8.4646, abs=1e-3)
     assert min_log_odds("4X4_50") == pytest.approx(most - likelihood.MAX_DOUBT)
     assert min_log_odds("4X4_250") == pytest.approx(min_log_odds("4X4_50") - math.log(5))
     assert min_log_odds("APRILTAG_36h11") == likelihood.MIN_LOG_ODDS
@@ -120,39 +130,33 @@ def test_shaded_half_of_a_marker_is_not_taken_for_black() -> None:
 
 
 def test_levels_and_noise_agree_with_a_plain_reference() -> None:
-    """The compiled sums against the module's formulas, written out for one candidate and one pattern."""
-    n = 6
-    samples = likelihood._Samples.read(noisy(card(marker_cells("4X4_50", 9)), 6), corners(n), n)
-    _, drawn = likelihood._drawn(
-        samples.readings, likelihood._nearest_codes(samples.readings, "4X4_50"), "4X4_50"
-    )
-    fitted = likelihood._fit(samples, drawn)
-    design, scale = likelihood._design(n), samples.scales[0]
-    y, prior = samples.readings[0] / scale, design.outlier_priors
+    """The batched sums against the module's formulas, written out for one candidate and one pattern."""
+    readings = Readings.read(noisy(card(marker_cells("4X4_50", 9)), 6), corners(6), 6)
+    _, drawn = draw_codes(readings, nearest_codes(readings, "4X4_50"), "4X4_50")
+    fitted = fit_patterns(readings, drawn)
+    columns, scale, card_parts = pattern_fit.columns_of(6), readings.scales[0], on_marker(6)
+    y, prior = readings.levels[0] / scale, columns.outlier_priors
     for k in range(drawn.shape[1]):
-        white = drawn[0, k]
-        columns = np.column_stack([design.places, white[:, None] * design.places])
-        share = np.where(design.on_card, 1.0, likelihood.FIRST_ZONE_SHARE)
-        std = 5 * likelihood.USUAL_STD
-        for _ in range(likelihood.ITERATIONS):
-            ridge = np.full(6, (std / likelihood.GRADIENT_STD) ** 2 * likelihood.PARTS**2)
-            ridge[[0, 3]] = 1e-6
-            normal = columns.T @ (share[:, None] * columns) + np.diag(ridge)
-            levels = np.linalg.solve(normal, columns.T @ (share * y))
-            errors = y - columns @ levels
-            on_card = share * design.on_card
-            count = likelihood.USUAL_STD_PARTS
-            variance = (count * likelihood.USUAL_STD**2 + on_card @ errors**2) / (count + on_card.sum())
-            std = math.sqrt(variance + (likelihood.ROUNDING_STD / scale) ** 2)
+        design = np.column_stack([columns.places, drawn[0, k][:, None] * columns.places])
+        share, std = np.where(card_parts, 1.0, pattern_fit.FIRST_ZONE_SHARE), pattern_fit.FIRST_STD
+        for _ in range(pattern_fit.ITERATIONS):
+            ridge = np.full(6, (std / pattern_fit.GRADIENT_STD) ** 2 * PARTS**2)
+            ridge[[0, 3]] = pattern_fit.RIDGE
+            normal = design.T @ (share[:, None] * design) + np.diag(ridge)
+            levels = np.linalg.solve(normal, design.T @ (share * y))
+            errors = y - design @ levels
+            used, count = share * card_parts, pattern_fit.USUAL_STD_PARTS
+            variance = (count * pattern_fit.USUAL_STD**2 + used @ errors**2) / (count + used.sum())
+            std = math.sqrt(variance + (pattern_fit.ROUNDING_STD / scale) ** 2)
             bell = (1 - prior) * np.exp(-0.5 * (errors / std) ** 2) / (std * math.sqrt(2 * math.pi))
-            density = bell + prior / likelihood.OUTLIER_RANGE
+            density = bell + prior / pattern_fit.OUTLIER_RANGE
             share = bell / density
-        logs = samples.weights[0] * np.log(density).sum()
-        logs -= 0.5 * np.square(levels[[1, 2, 4, 5]] / likelihood.GRADIENT_STD).sum()
-        short = min(math.log(max(levels[3] * scale, likelihood.MIN_CONTRAST) / samples.ranges[0]), 0.0)
-        logs -= 0.5 * (short / likelihood.LOG_CONTRAST_STD) ** 2
+        logs = readings.weights[0] * np.log(density).sum()
+        logs -= 0.5 * np.square(levels[[1, 2, 4, 5]] / pattern_fit.GRADIENT_STD).sum()
+        short = min(math.log(max(levels[3] * scale, MIN_CONTRAST) / readings.ranges[0]), 0.0)
+        logs -= 0.5 * (short / pattern_fit.LOG_CONTRAST_STD) ** 2
         assert fitted.stds[0, k] == pytest.approx(std, rel=1e-9)
-        if levels[3] * scale >= likelihood.MIN_CONTRAST:
+        if levels[3] * scale >= MIN_CONTRAST:
             assert fitted.logs[0, k] == pytest.approx(logs, rel=1e-9)
 
 

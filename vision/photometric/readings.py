@@ -1,0 +1,195 @@
+"""Readings of candidates, and markers drawn as they would be read.
+
+A candidate's square, and the white zone of one cell around it, are read in `PARTS` x `PARTS` parts of each
+cell. Large markers are read in a shrunk image, so that a part is the mean over its pixels. Markers are drawn
+in the same parts under several blurs (`skyherd.markers.blur_model`).
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import isqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.geometry import Array, IntArray, to_complex
+from skyherd.markers.blur_model import gather
+from skyherd.markers.dictionary import dictionary_size, marker_cells
+from skyherd.vision.blurred_cells import standardised
+from skyherd.vision.grey import Image, block_means, sample_grey
+from skyherd.vision.row_record import RowRecord
+from skyherd.vision.search.decode import blurred_codes, square_to_quads
+
+PARTS = 3
+"""Parts of a cell along its side. Chosen: two miss edges that lie within a cell, four take twice the time."""
+
+MAX_READINGS, PX2_PER_READING = 3.0, 4.0
+"""Independent readings of a cell at most, and pixels for each. Chosen: errors of a model are alike over a
+cell, so that more pixels do not add evidence in proportion."""
+
+QUANTILES = (0.05, 0.95)
+"""Between these quantiles of all readings lies their range. Chosen: without the tails of noise and glare."""
+
+CARD_QUANTILES = (0.1, 0.9)
+"""Between these quantiles of the readings on the card lies the range that a marker's contrast explains.
+Chosen: a few bright or dark cells do not count."""
+
+MIN_CONTRAST = 4.0
+"""Smallest contrast of a marker, grey levels. Chosen: below it the rounding of grey levels shows as bits."""
+
+BLURS_CELLS = (
+    (0.1, 0.1),
+    (0.22, 0.22),
+    (0.36, 0.36),
+    (0.52, 0.52),
+    (0.72, 0.72),
+    (0.15, 0.5),
+    (0.5, 0.15),
+    (0.3, 0.8),
+    (0.8, 0.3),
+)
+"""Blurs (along the rows, along the columns) under which patterns are drawn, standard deviations in cells.
+Chosen: geometric between a sharp edge and the largest blur that is accepted; then streaks of motion."""
+
+CELL_BLURS = (0.2, 0.5)
+"""Blurs under which whole cells are compared with all markers, before some markers are drawn in parts.
+Chosen: a sharp one and a blurred one."""
+
+MAX_CODES = 6
+"""Codes of a candidate that are drawn. Chosen: others resemble the readings far less."""
+
+MIN_PART_PX, SINGLE_SAMPLE_PX = 1.5, 0.9
+"""Smallest part in a shrunk image, and largest part that is read by one sample instead of four, px. Chosen: a
+part covers two to three pixels, which four samples average."""
+
+
+@dataclass(frozen=True)
+class Readings(RowRecord):
+    """Readings of N candidates.
+
+    Attributes:
+        levels: (N, parts) grey levels of markers and white zones, row by row.
+        weights: (N,) independent readings that a part counts as.
+        scales: (N,) range of the readings, grey levels.
+        ranges: (N,) range on the card that a marker's contrast should explain, grey levels.
+    """
+
+    levels: Array
+    weights: Array
+    scales: Array
+    ranges: Array
+
+    @property
+    def n_cells(self) -> int:
+        """Cells along a marker's side, border included."""
+        return isqrt(self.levels.shape[1]) // PARTS - 2
+
+    @property
+    def cells(self) -> Array:
+        """Mean grey levels (N, n + 2, n + 2) of the cells, with those of the white zone around them."""
+        side = self.n_cells + 2
+        return np.asarray(self.levels.reshape(-1, side, PARTS, side, PARTS).mean(axis=(2, 4)))
+
+    @classmethod
+    def read(cls, image: Image, corners_px: Array, n_cells: int) -> "Readings":
+        """Return the readings of an image (height, width) at corners (N, 4, 2), px, clockwise as seen."""
+        levels = _levels(image, corners_px, n_cells)
+        on_card = levels[:, on_marker(n_cells)]
+        scales, ranges = (
+            np.maximum(np.ptp(np.quantile(values, ends, axis=1), axis=0), MIN_CONTRAST)
+            for values, ends in ((levels, QUANTILES), (on_card, CARD_QUANTILES))
+        )
+        return cls(levels, _weights(corners_px, n_cells), scales, ranges)
+
+
+def part_places(n_cells: int, per_part: int = 1) -> Array:
+    """Return `per_part` places in each part along an axis, in cells from the marker's edge."""
+    parts = PARTS * per_part
+    return (np.arange(parts * (n_cells + 2)) + 0.5) / parts - 1
+
+
+@lru_cache(maxsize=16)
+def on_marker(n_cells: int) -> npt.NDArray[np.bool_]:
+    """Return which parts (parts,) are on the marker, not in the zone around it."""
+    cells = np.pad(np.ones((n_cells, n_cells), dtype=bool), 1)
+    return np.kron(cells, np.ones((PARTS, PARTS), dtype=bool)).ravel()
+
+
+def nearest_codes(readings: Readings, dictionary: str) -> IntArray:
+    """Return the codes (N, MAX_CODES) whose cells resemble the readings most, the likeliest first.
+
+    Code 4 i + k is marker i with corner k first.
+    """
+    cells = readings.cells[:, 1:-1, 1:-1].reshape(len(readings.levels), -1)
+    seen = standardised(cells.astype(np.float32))
+    match = np.max([seen @ blurred_codes(dictionary, blur).patterns.T for blur in CELL_BLURS], axis=0)
+    few = np.argpartition(-match, MAX_CODES - 1, axis=1)[:, :MAX_CODES]
+    order = np.argsort(-np.take_along_axis(match, few, axis=1), axis=1)
+    return np.asarray(np.take_along_axis(few, order, axis=1))
+
+
+@lru_cache(maxsize=16)
+def black_cells(dictionary: str) -> npt.NDArray[np.float32]:
+    """Return the black cells (4 D, n, n) of all codes, 1 for black."""
+    cells = np.stack([marker_cells(dictionary, i) for i in range(dictionary_size(dictionary))])
+    turned = np.stack([np.rot90(cells, -turn, axes=(1, 2)) for turn in range(4)], axis=1)
+    return (~turned).reshape(-1, *cells.shape[1:]).astype(np.float32)
+
+
+def draw_codes(readings: Readings, codes: IntArray, dictionary: str) -> tuple[IntArray, Array]:
+    """Draw codes under the blur with which they resemble the readings most.
+
+    Args:
+        readings: of N candidates.
+        codes: (N, K) of each.
+        dictionary: of the markers.
+
+    Returns:
+        The numbers (N, K) of the blurs in `BLURS_CELLS`, and the whiteness (N, K, parts), 0 to 1.
+    """
+    black, (along, down) = black_cells(dictionary)[codes], _gathers(readings.n_cells)
+    rows = np.einsum("bsj,nkij->nkbis", along, black)
+    drawn = 1 - np.einsum("bri,nkbis->nkbrs", down, rows, optimize=True)
+    drawn = drawn.reshape(*codes.shape, len(BLURS_CELLS), -1)
+    centred = drawn - drawn.mean(axis=-1, keepdims=True)
+    seen = standardised(readings.levels.astype(np.float32))
+    alike = np.einsum("nkbr,nr->nkb", centred, seen) / np.linalg.norm(centred, axis=-1)
+    blurs = alike.argmax(axis=-1)
+    chosen = np.take_along_axis(drawn, blurs[..., None, None], axis=2)[:, :, 0]
+    return blurs, np.asarray(chosen, dtype=float)
+
+
+@lru_cache(maxsize=16)
+def _gathers(n_cells: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Return weights (blurs, side, n) of a row's cells at its parts, along the rows and along the columns."""
+    places, edges = part_places(n_cells), np.arange(n_cells + 1.0)
+    both = [
+        np.stack([gather(places, edges, blur[axis]) for blur in BLURS_CELLS]).astype(np.float32)
+        for axis in (0, 1)
+    ]
+    return both[0], both[1]
+
+
+def _weights(corners_px: Array, n_cells: int) -> Array:
+    """Return the independent readings (N,) that a part counts as."""
+    one, two = corners_px[:, 2] - corners_px[:, 0], corners_px[:, 3] - corners_px[:, 1]
+    cell_px2 = np.abs(one[:, 0] * two[:, 1] - one[:, 1] * two[:, 0]) / 2 / n_cells**2
+    return np.asarray(np.minimum(MAX_READINGS, cell_px2 / PX2_PER_READING) / PARTS**2)
+
+
+def _levels(image: Image, corners_px: Array, n_cells: int) -> Array:
+    """Return the grey levels (N, parts) of all parts of markers and white zones."""
+    sides_px = np.linalg.norm(corners_px - np.roll(corners_px, 1, axis=1), axis=2).mean(axis=1)
+    parts_px = sides_px / (n_cells * PARTS)
+    octaves = np.maximum(np.floor(np.log2(np.maximum(parts_px / MIN_PART_PX, 1.0))), 0).astype(int)
+    side = PARTS * (n_cells + 2)
+    levels = np.empty((len(corners_px), side**2))
+    for octave in np.unique(octaves):
+        rows, shrink = np.flatnonzero(octaves == octave), 2 ** int(octave)
+        small = image if shrink == 1 else block_means(image, shrink)
+        corners = to_complex((corners_px[rows] - (shrink - 1) / 2) / shrink)
+        fine = 2 if parts_px[rows].max() / shrink > SINGLE_SAMPLE_PX else 1
+        at = part_places(n_cells, fine) / n_cells
+        grey = sample_grey(small, square_to_quads(corners, at[None, :], at[:, None]))
+        levels[rows] = grey.reshape(-1, side, fine, side, fine).mean(axis=(2, 4)).reshape(len(rows), -1)
+    return levels

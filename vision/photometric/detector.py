@@ -36,7 +36,6 @@ from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.measure import measure_candidates
 from skyherd.vision.photometric.refine import with_usual_blur
 from skyherd.vision.photometric.state import CameraState
-from skyherd.vision.photometric.tracks import no_tracks
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads
 from skyherd.vision.search.faint import find_faint_quads
@@ -120,7 +119,6 @@ class PhotometricDetector:
         found = followed.found
         if followed.is_missing and len(found.ids) < MIN_FOLLOWED_SHARE * len(state.tracks.seen.ids):
             followed, found = replace(followed, plane=Plane()), self._none
-            state = replace(state, tracks=no_tracks())
         state = replace(state, plane=followed.plane, unsearched=state.unsearched + 1)
         is_amiss = followed.is_missing or not len(found.ids)
         if is_amiss or self._is_due(state):

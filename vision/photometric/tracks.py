@@ -94,13 +94,16 @@ class Tracks(RowRecord):
     ) -> "Tracks":
         """Return the tracks after an image at `time_s` that shows markers `ids` (N,) at `homographies`.
 
-        Markers that were followed before get a velocity. Markers that are not among `ids` are kept for
-        `MAX_MISSED` images. Ids ascend.
+        Markers that were followed before get a velocity, unless they are farther from where they were
+        predicted than they would be searched for: that is another place, or another camera. Markers that are
+        not among `ids` are kept for `MAX_MISSED` images. Ids ascend.
         """
         now, before = np.nonzero(ids[:, None] == self.ids)
-        last, elapsed_s = self.take(before), self._elapsed_s(time_s)[before]
         velocities, rates = np.zeros((2, ids.size), dtype=complex)
         on_arc = np.ones(ids.size, dtype=bool)
+        near = shifts_sides(self.predicted(time_s).take(before), homographies.take(now)) <= REACH_SIDES
+        now, before = now[near], before[near]
+        last, elapsed_s = self.take(before), self._elapsed_s(time_s)[before]
         velocities[now] = (homographies.centers[now] - last.homographies.centers) / elapsed_s
         rates[now] = np.log(homographies.arms[now] / last.homographies.arms) / elapsed_s
         turned = last.velocities * np.exp(last.arm_log_rates * elapsed_s)

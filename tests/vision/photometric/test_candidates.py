@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.photometric.candidates import find_candidates
+from skyherd.vision.photometric.candidates import find_candidates, within_better
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.measure import measure_candidates
@@ -104,3 +104,10 @@ def test_few_markers_get_no_plane_if_known_ones_have_none(place_markers, draw_ma
 
     assert (errors_px(CameraState(plane=Plane(shared=False))) < 0.03).all()
     assert (errors_px(CameraState()) > 0.1).all()
+
+
+def test_half_of_a_marker_is_within_the_better_one() -> None:
+    """A centre within half a side of a better marker; the better one, and one beside it, are in none."""
+    centers, sides_px = np.array([100 + 100j, 106 + 100j, 140 + 100j]), np.array([22.0, 16.0, 22.0])
+    assert within_better(centers, sides_px, np.array([2, 1, 1])).tolist() == [False, True, False]
+    assert not within_better(centers, sides_px, np.array([1, 1, 1])).any()

@@ -181,3 +181,17 @@ def test_the_innermost_are_nearest_to_the_images_middle() -> None:
     chosen = innermost(markers(HOMES, np.full(HOMES.size, 20)), image).centers
     rest = np.setdiff1d(HOMES, chosen)
     assert chosen.size == 4 and np.abs(chosen - MIDDLE).max() <= np.abs(rest - MIDDLE).min()
+
+
+def test_cut_to_another_view_is_measured_as_an_image_by_itself(sequence) -> None:
+    """After a cut nothing is known of the markers' motion, and no place is predicted from it."""
+    detector, places = PhotometricDetector(DICTIONARY), np.random.default_rng(4).permutation(HOMES.size)
+    for number in range(3):
+        detector.detect(sequence(number)[0], time_s=0.1 * number)
+    image = sequence(5, lambda homes, headings: (homes[places] + 7, headings, 1.0))[0]
+    cut = detector.detect(image, time_s=0.3)
+    alone = PhotometricDetector(DICTIONARY, following=False).detect(image)
+    assert cut.ids.tolist() == alone.ids.tolist() == IDS.tolist()
+    np.testing.assert_allclose(cut.centers_px, alone.centers_px, atol=0.01)
+    far = np.abs(HOMES[places] - HOMES) > 4 * SIDE_PX
+    assert far.sum() > 10 and not detector.states[0].tracks.velocities[far].any()

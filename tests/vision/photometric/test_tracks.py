@@ -15,7 +15,7 @@ from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric.fitting.fit import fit_markers
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
-from skyherd.vision.photometric.tracks import in_view, no_tracks
+from skyherd.vision.photometric.tracks import MAX_MISSED, in_view, no_tracks
 
 DICTIONARY, SIZE = "4X4_50", (400, 320)
 HOMES = np.array([80 + 80j, 200 + 80j, 320 + 80j, 80 + 230j, 200 + 230j, 320 + 230j])
@@ -105,6 +105,44 @@ def test_markers_are_tracked_while_their_centres_are_in_view():
     arms = np.full(centers.size, 20 + 0j)
     homographies = LocalHomographies(centers, arms, 0 * arms, 0 * arms)
     assert in_view(homographies, (100, 120)).tolist() == [True, True, True, False, False, False]
+
+
+def one_marker(center: complex) -> LocalHomographies:
+    return LocalHomographies(*(np.array([z], dtype=complex) for z in (center, 20j, 0, 0)))
+
+
+@pytest.mark.parametrize("times_s", [[0.0, 0.5, 1.0, 1.5, 2.0], [0.0] * 5], ids=["timed", "untimed"])
+def test_velocity_after_a_gap_is_that_since_the_marker_was_seen(times_s):
+    """Seen at 100 and 103, missed in two images, seen at 112: each step is of 3 px."""
+    ids, nothing = np.array([5]), one_marker(0j).take(np.zeros(0, dtype=np.int64))
+    tracks = no_tracks().updated(times_s[0], ids, one_marker(100 + 0j), SIGMAS[:1])
+    tracks = tracks.updated(times_s[1], ids, one_marker(103 + 0j), SIGMAS[:1])
+    for time_s in times_s[2:4]:
+        assert tracks.predicted(time_s).centers[0] == pytest.approx(106 + 3 * tracks.missed[0])
+        tracks = tracks.updated(time_s, ids[:0], nothing, SIGMAS[:0])
+    assert tracks.missed.tolist() == [2] and not len(tracks.seen.ids)
+    tracks = tracks.updated(times_s[4], ids, one_marker(112 + 0j), SIGMAS[:1])
+    step_s = 0.5 if times_s[4] else 1.0
+    assert tracks.velocities[0] * step_s == pytest.approx(3.0) and tracks.missed.tolist() == [0]
+
+
+def test_missed_marker_is_forgotten_after_ten_images():
+    tracks = no_tracks().updated(0.0, np.array([5]), one_marker(100 + 0j), SIGMAS[:1])
+    nothing = one_marker(0j).take(np.zeros(0, dtype=np.int64))
+    lengths = []
+    for number in range(MAX_MISSED + 1):
+        tracks = tracks.updated(1.0 + number, np.zeros(0, dtype=np.int64), nothing, SIGMAS[:0])
+        lengths.append(len(tracks.ids))
+    assert lengths == [1] * MAX_MISSED + [0]
+
+
+def test_marker_found_at_two_places_is_not_followed():
+    """One found where it was missed is followed on; one that is followed elsewhere is at two places."""
+    both = one_marker(100 + 0j).joined(one_marker(200 + 0j))
+    tracks = no_tracks().updated(0.0, np.array([3, 8]), both, SIGMAS)
+    tracks = tracks.updated(1.0, np.array([3]), one_marker(100 + 0j), SIGMAS[:1])
+    others = tracks.with_others(1.0, np.array([3, 8]), both, SIGMAS)
+    assert others.ids.tolist() == [8] and others.missed.tolist() == [0]
 
 
 # --- following and searching agree ---

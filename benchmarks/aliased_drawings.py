@@ -2,9 +2,9 @@
 
     python benchmarks/aliased_drawings.py
 
-Some renderers, as that of the image ICRA 2020 frame 37 in the tests of locus-tag, smooth the outline of a
-textured square and sample its texture at the nearest texel. Each cell then begins at a whole pixel, up to
-half a pixel off its place, while the outline is right. A fit to all edges of a marker follows the cells; a
+Some renderers smooth the outline of a textured square and sample its texture at the nearest texel; frame 37
+of ICRA 2020 in the tests of locus-tag was drawn so. Each cell then begins at a whole pixel, up to half a
+pixel off its place, while the outline is right. A fit to all edges of a marker follows the cells; a
 detector of the outline alone does not. The table has the median error of corners, px, for both ways of
 drawing: by detectors, and by the edges of the outline (`skyherd.vision.search.edges`).
 """

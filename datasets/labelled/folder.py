@@ -1,11 +1,11 @@
 """Folder of a labelled image set: its layout, and the spec of the set.
 
-spec.json                        the spec, SHA-256 of its pictures, the version of skyherd
-images/train, images/val         000000.png …, numbered consecutively over both splits
-labels/train, labels/val         000000.txt …, YOLO-pose; with data.yaml
-annotations/train.json, val.json COCO keypoints
-truth.csv, images.csv            ground truth: one row per marker, one row per image
-preview.png
+- `spec.json`: the spec, SHA-256 of its pictures, the version of skyherd;
+- `images/train`, `images/val`: 000000.png …, numbered consecutively over both splits;
+- `labels/train`, `labels/val`: 000000.txt …, YOLO-pose; with `data.yaml`;
+- `annotations/train.json`, `val.json`: COCO keypoints;
+- `truth.csv`, `images.csv`: ground truth, one row per marker, and one per image;
+- `preview.png`.
 """
 
 import json

@@ -221,7 +221,7 @@ def _middle(border: Array, inner: Array) -> float:
 
 
 def _median(values: Array) -> float:
-    """Median of the finite values; not a number if there is none."""
+    """Return the median of the finite values; not a number if no value is finite."""
     finite = np.sort(values[np.isfinite(values)])  # np.median takes several times as long for so few
     if not finite.size:
         return float("nan")

@@ -75,9 +75,9 @@ def suggest(image: Image, dictionary: str, *, border_bits: int = 1, inverted: bo
 def find_dictionary(image: Image, *, border_bits: int = 1, inverted: bool = False) -> str | None:
     """Return the dictionary that decodes most of a grey image (height, width); None if none decodes anything.
 
-    Of dictionaries that decode as many markers, the one whose markers differ most from each other is
-    preferred, and of a series such as 4X4_50 to 4X4_1000 the smallest that has all ids found. All
-    dictionaries are tried. If OpenCV's detector reads nothing, the default one is asked, which takes seconds.
+    All dictionaries are tried. Of those that decode as many markers, the one whose markers differ most from
+    each other is preferred. Of a series such as 4X4_50 to 4X4_1000 it is the smallest that has all ids found.
+    If OpenCV's detector reads nothing, the default one is asked, which takes seconds.
 
     Args:
         image: grey, (height, width).

@@ -16,8 +16,8 @@ from skyherd.vision.search.decode import DecodedQuads, decode_quads, no_decoded_
 PALE_SHARE = 0.3
 """While markers are known in an image, candidates whose cells show less than this share of the camera's usual
 print contrast are not fitted. Measured: markers of 8 to 30 px at noise up to 10 show 0.79 or more, those that
-are blurred three times as much as the others 0.36, and 95 % of the dark patches of ground that resemble
-markers 0.29 or less, which took a quarter of the detector's time in missions."""
+are blurred three times as much as the others 0.36. Of the dark patches of ground that resemble markers 95 %
+show 0.29 or less; they took a quarter of the detector's time in missions."""
 
 CORNER_ANISOTROPY_ERROR_PX = 1.0
 """Accuracy of an anisotropy that is computed from a quadrilateral's corners, px. Chosen: corners are found to

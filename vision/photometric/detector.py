@@ -7,8 +7,8 @@ Each image passes through these stages. Stages return values; the detector alone
    resemble a marker, in every fifth image, and at once when a followed marker is missing or none is known.
    A fallback search looks again, at twice the size and with OpenCV's detector, where none was found.
 3. *Measure* (`measure`): the pattern of each candidate is fitted to the image's own pixels (`fitting.fit`,
-   `refine`) and verified by its residuals (`verify`). What no fit explains is decided by its likelihood
-   (`likelihood`) and measured by a robust fit or its edges.
+   `refine`) and verified by its residuals (`verify`). A candidate that no fit explains is decided by its
+   likelihood (`likelihood`) and measured by a robust fit or its edges.
 4. *Learn* (`state`): the camera's blur, noise, print, plane and tracks are where the next image begins.
 """
 

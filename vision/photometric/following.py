@@ -37,7 +37,7 @@ from skyherd.vision.search.decode import MIN_CORRELATION
 
 @dataclass(frozen=True)
 class Followed:
-    """What following found in an image.
+    """Result of following markers into an image.
 
     Attributes:
         found: the markers, in ascending order of id.

@@ -56,8 +56,8 @@ BITS_ODDS, RECTANGLES_ODDS, GRIDS_ODDS = 0.05, 0.03, 0.05
 """Prior odds of each kind of clutter against a marker. Chosen."""
 
 MIN_LOG_ODDS, MAX_DOUBT = 9.0, 0.27
-"""A candidate is accepted from the first log odds on, or where a dictionary has too few bits for that, if it
-falls short of the most that an image can show by the second at most. Measured: `benchmarks/clutter.py`."""
+"""A candidate is accepted from the first log odds on. Where a dictionary has too few bits for that, it may
+fall short of the most that an image can show by the second. Measured: `benchmarks/clutter.py`."""
 
 MAX_CONTRADICTION, MIN_LOCAL_RANGE = 0.07, 0.15
 """Largest share of cells that their neighbours may contradict, and the range among neighbours, as share of

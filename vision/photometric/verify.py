@@ -1,13 +1,14 @@
 """Whether a fit shows its marker: every bit is read again, and nothing but noise may be left.
 
-A fit counts if every cell has the right colour by what the fit leaves of it, if it leaves no more than the
-image's noise or the share of its contrast that the processing of real cameras leaves of any model
-(demosaicing, denoising, sharpening and compression: 3 to 11 %), and if its print is that of the others.
+A fit counts if it passes three tests. Every cell has the right colour, by its residual. The residuals do not
+exceed the image's noise, or the share of the contrast that the processing of real cameras leaves of any
+model. That is 3 to 11 %, by demosaicing, denoising, sharpening and compression. Its print is that of the
+others.
 
-What a fit leaves is measured in units of what a cell of the wrong colour would leave (`wrong_cells`).
+Residuals are measured in units of those that a cell of the wrong colour would leave (`WrongCellResiduals`).
 
 Light falls on black and white alike, so that `(white - black) / white`, the print contrast, is the same in
-sun and shade. What has less of it than the camera's markers is no print, but ground between cards.
+sun and shade. A patch with less of it than the camera's markers is no print, but ground between cards.
 """
 
 from collections.abc import Iterable
@@ -23,9 +24,9 @@ from skyherd.vision.photometric.fitting.fit import has_outlier_pixels
 from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
 
 WRONG_CELL_SHARE, WRONG_CELL_SIGMAS, WRONG_CELL_LIMIT = 0.2, 4.0, 0.4
-"""A cell is wrong if its mean residual exceeds the first share of what a wrong colour would leave plus so
-many standard deviations of noise, or the last share in any case. Chosen: a right cell leaves 0, a wrong one
-1, and the limit stays below the middle between them."""
+"""A cell is wrong if its mean residual exceeds the last share of what a wrong colour would leave, or the
+first share plus so many standard deviations of noise. Chosen: a right cell leaves 0, a wrong one 1, and the
+limit stays below the middle between them."""
 
 STRONG_DISTANCE, STRONG_CELL_LIMIT = 8, 0.5
 """Where markers of a dictionary differ by so many bits at least, a cell may leave the second number whatever
@@ -75,13 +76,13 @@ noise to a tenth, and texture and compression change it from place to place. Mea
 light one inside, half of those that pass for marker 17 of 4X4_50 leave 1.15 to 1.25 times the noise."""
 
 MODEL_SHARE, CELL_MODEL_SHARE = 0.16, 0.13
-"""For what the model lacks (a real camera's processing, motion blur, rounded corners), a fit may leave these
-shares of its contrast, if they are more than the noise, as root mean squares over the pixels and over the
-cells' means. They do not add up with it, since what is processed has lost most of its noise: fits on
-photographs leave 5 to 50 times the image's noise; dark squares with light ones inside, in images that nothing
-processed, leave 1.1 to 2.2 times. Measured: of 1190 markers on photographs of six kinds 99 % leave less than
-0.11 and 0.07, all that are fitted rightly 0.16 and 0.12; of what decodes and is no marker, three quarters
-leave more than 0.12 and 0.08, and the rest has a wrong cell."""
+"""A fit may leave these shares of its contrast, if they are more than the noise, as root mean squares over
+the pixels and over the cells' means. The model lacks a real camera's processing, motion blur and rounded
+corners. The shares do not add to the noise: processing removes most of it. Fits on photographs
+leave 5 to 50 times the image's noise; dark squares with light ones inside, in images that nothing processed,
+leave 1.1 to 2.2 times. Measured: of 1190 markers on photographs of six kinds 99 % leave less than 0.11 and
+0.07, all that are fitted rightly 0.16 and 0.12; of what decodes and is no marker, three quarters leave more
+than 0.12 and 0.08, and the rest has a wrong cell."""
 
 SHARP_BLUR_CELLS, STRONG_BLUR_CELLS = 0.15, 0.25
 """Blurs, cells, of weak and of strong codes, beyond which the share allowed for the pixels falls as their
@@ -121,7 +122,7 @@ MIN_DIVISOR_CONTRAST = 1e-3
 
 @dataclass(frozen=True)
 class WrongCellResiduals:
-    """What one cell of the wrong colour would leave of N fits, grey levels.
+    """Residuals that one cell of the wrong colour would leave in N fits, grey levels.
 
     Attributes:
         means: (N,) mean residual over that cell.
@@ -162,7 +163,7 @@ def _integral_tables() -> tuple[Array, Array]:
 
 
 class Quantity(Enum):
-    """What the tests of a fit compare with a limit; the values are the words that users read."""
+    """Quantity that a test of a fit compares with a limit; the values are the words that users read."""
 
     CONTRAST = "contrast"
     WHITE = "white level"

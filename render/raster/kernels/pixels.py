@@ -100,7 +100,7 @@ def _bound_edges(outline_px: Any, margin_px: float, edges: Any) -> None:
 
 @njit(**PARTS)
 def _columns_of(edges: Any, v: int, width: int) -> Any:
-    """First column of row v within moved edges, and the one after the last; the same if there is none."""
+    """Return the first column of row v within moved edges and the one after the last; 0, 0 without any."""
     low, high = 0.0, width - 1.0
     for edge in range(len(edges)):
         bound = edges[edge, 0] - edges[edge, 1] * v

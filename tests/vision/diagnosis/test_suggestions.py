@@ -1,4 +1,4 @@
-"""What is suggested for an image of few detections: markers that are drawn otherwise than looked for."""
+"""Suggestions for an image of few detections: markers that are drawn otherwise than those looked for."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What of an image is fitted at all, once the unit's other images have told how its markers are printed."""
+"""Choice of the candidates that are fitted, once other images have told how the markers are printed."""
 
 import numpy as np
 import pytest

@@ -27,7 +27,7 @@ def draw(place_markers, draw_markers):
 
 
 def look(detector, image, number):
-    """What a live unit does with an image: what was detected in it, before the detector looks around."""
+    """Do what a live unit does with an image; return what was detected before the detector looked around."""
     seen = detector.detect(image, time_s=0.1 * number)
     if isinstance(detector, DeferringDetector):
         detector.look_around(image)

@@ -188,9 +188,9 @@ def test_the_plane_of_a_tilted_camera_is_found():
 
 
 def test_ground_taken_for_markers_has_no_say():
-    """Smooth blobs that quadrilaterals were found in, each fitted well as a pale marker squeezed in its own
-    way: what is told of the real markers beside them is as without them. It would differ by a deviation and
-    more, if the blobs had a say on the plane that all share."""
+    """Smooth blobs that quadrilaterals were found in are each fitted well as a pale marker with a squeeze of
+    its own. The real markers beside them are measured as without them. Their poses would differ by a standard
+    deviation and more if the blobs had a say on the plane that all share."""
     rng = np.random.default_rng(3)
     ground = np.clip(gaussian_filter(rng.standard_normal((640, 640)), 4.0) * 300 + 128, 0, 255)
     renderer = Renderer(DICTIONARY, 1.0, Ground(0, contrast=0.0), Sensor(0.0, rng))

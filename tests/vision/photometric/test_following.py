@@ -105,7 +105,7 @@ CHANGES = [zoomed, panned, yawed, scattered, turned]
 
 
 def followed(sequence, change, monkeypatch):
-    """What is detected in six images of a sequence, and in which of them the whole image was looked at."""
+    """Return the detections in six images of a sequence, and the numbers of those that were searched."""
     looked, real = [], PhotometricDetector._search_with_fallback
     monkeypatch.setattr(
         PhotometricDetector, "_search_with_fallback", lambda *given: looked.append(number) or real(*given)

@@ -239,7 +239,7 @@ def test_units_are_kept_apart(place_markers, draw_markers):
 
 @dataclass
 class View:
-    """What an image shows: markers, and what is painted over them."""
+    """Content of an image: markers, and covers that are painted over them."""
 
     ids: np.ndarray
     centers: np.ndarray

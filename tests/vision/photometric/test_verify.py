@@ -1,4 +1,4 @@
-"""What a fit has to show: its bits, on enough pixels, with no more left over than noise."""
+"""Tests of a fit: its bits, on enough pixels, with no more left over than noise."""
 
 from dataclasses import replace
 
@@ -140,7 +140,7 @@ def test_what_is_printed_unlike_the_others_is_none(place_markers, draw_markers):
 
 
 def test_a_white_that_no_camera_gives_is_none(place_markers, draw_markers):
-    """Where blur takes most of a texture away, a fit may ask for any contrast to explain it."""
+    """A fit may ask for any contrast to explain a texture, where blur takes most of the texture away."""
     fits = nine_fits(place_markers, draw_markers)
     brighter = np.linspace(0, 160, 9)
     whites = fits.blacks + brighter + fits.contrasts

@@ -40,7 +40,7 @@ USUAL_BLACK_RATIO = 0.15
 
 @dataclass(frozen=True)
 class MarkerAppearances:
-    """What N markers look like at their size and blur; lengths are in marker sides.
+    """Appearance of N markers at their size and blur; lengths are in marker sides.
 
     Attributes:
         cells: (N, n + 2, n + 2) 1 where a cell is black, 0 where it is white and on the ground around.

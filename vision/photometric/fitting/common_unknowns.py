@@ -1,4 +1,4 @@
-"""What all markers of an image have in common: their plane, and whether light is even and tones straight.
+"""Unknowns that all markers of an image share: their plane, uneven light, a bend of the tone curve.
 
 These are hypotheses that are tested on all markers together, which is more precise than on one marker.
 They are tested on the markers that look like a print and have all their cells right. Smooth
@@ -61,11 +61,11 @@ two components, by which the marker's image grows along one side's length. Chose
 four sides away at a tilt of 25 degrees; a larger one lets small markers lean by their noise."""
 
 NEAR_PLANE = 0.02
-"""Where the squeezes of most markers lie within this of a plane that does not quite explain them, since a
-lens bends it or processing feigns squeezes, these markers lean as the plane does. Measured on photographs of
-boards: squeezes are 0.002 to 0.005 off, and the leans found differ from the plane's by their noise, 0.004 to
-0.014. Held there, corners are off by 0.056, 0.124 and 0.140 px on three boards where free leans give 0.084,
-0.137 and 0.153 px."""
+"""Markers whose squeezes lie within this of a plane lean as the plane does, if most of an image's markers do.
+A plane does not explain them exactly where a lens bends it or processing feigns squeezes. Measured on
+photographs of boards: squeezes are 0.002 to 0.005 off, and the leans found differ from the plane's by their
+noise, 0.004 to 0.014. Held there, corners are off by 0.056, 0.124 and 0.140 px on three boards where free
+leans give 0.084, 0.137 and 0.153 px."""
 
 
 def hold_common_unknowns(
@@ -143,8 +143,8 @@ def _tells_more(
 ) -> bool:
     """Return whether the pixels of the inliers speak against holding so many unknowns.
 
-    What it adds to the sum of squares, over the variance of the noise, has a chi-squared of expectation k and
-    variance 2 k, with k the number of unknowns; its mean over the inliers decides.
+    The growth of the sum of squares over the variance of the noise is a chi-squared of expectation k and
+    variance 2 k, with k the number of unknowns. Its mean over the inliers decides.
     """
     growth = held.residual_squares - solution.residual_squares
     chi_squared = (growth / solution.noise_stds() ** 2 / unknowns)[inliers]

@@ -1,17 +1,17 @@
 """How noise that is correlated from pixel to pixel changes the variances of poses.
 
-Demosaicing, denoising, sharpening and compression make the noise of neighbouring pixels alike, or unlike, and
-noise that a tone curve or a motion blur leaves is larger along edges than elsewhere. The covariance
-`σ_n² (JᵀJ)⁻¹` knows of neither. A pose's error is the sum over the pixels p
+Demosaicing, denoising, sharpening and compression make the noise of neighbouring pixels alike, or unlike. A
+tone curve or motion blur that the model lacks leaves residuals that are larger along edges than elsewhere.
+The covariance `σ_n² (JᵀJ)⁻¹` knows of neither. A pose's error is the sum over the pixels p
 
     e = Σ a(p) n(p),    a(p) = P C J(p),
 
 of their noise n times their influence a, with J(p) a row of the design matrix, C the inverse normal matrix
 and P the map from the unknowns to the pose. Its variance is estimated from the residuals r in place of the
 noise: summed over boxes of b x b pixels, `s = Σ_box a r`, the squares s² count the covariances of pixels that
-lie in one box. Those of pixels that are d apart are so counted by the share 1 - d / b; twice the sum over
-boxes of 2 b pixels less that over boxes of b counts all that are up to b apart in full, and none beyond 2 b,
-as the flat-top window does (Politis and Romano, Journal of Time Series Analysis 16, 1995).
+lie in one box. Those of pixels that are d apart are so counted by the share 1 - d / b. Twice the sum over
+boxes of 2 b pixels less that over boxes of b counts all that are up to b apart in full. It counts none beyond
+2 b, as the flat-top window does (Politis and Romano, Journal of Time Series Analysis 16, 1995).
 
 One marker has too few boxes to tell its own variance. The ratio to the variance that independent noise would
 give is therefore taken over all markers of an image, for positions and for headings.

@@ -5,11 +5,14 @@ z = z(p) = x + iy, the grey level of pixel p is
 
     I(p) ≈ a + b T + b (T_z · δz + T_log σ δ log σ) + g (1 - A) + (l_x x + l_y y) (r + T) + c T (1 - T),
 
-with black level a, contrast b (white minus black), a step of the pose δz = d + (s + iθ) z + e z̄ - z Re(q̄ z)
-(shift d, scale s, rotation θ, squeeze e, lean q), a change of the blur's logarithm δ log σ, ground level g
-beyond the card, of which the card covers the share A, light l that changes over the marker, with r = a / b,
-and a bend c of the tone curve, by which a camera's gamma shifts edges towards black. Everything that the
-pixels depend on is thus an unknown of one linear model, 15 in all; eight of them make up a homography.
+with these unknowns, 15 in all, of which eight make up a homography:
+
+- black level a and contrast b (white minus black), whose ratio is r = a / b;
+- a step of the pose, δz = d + (s + iθ) z + e z̄ - z Re(q̄ z): shift d, scale s, rotation θ, squeeze e, lean q;
+- a change δ log σ of the blur's logarithm;
+- ground level g beyond the card, which covers the share A of a pixel;
+- light l that changes over the marker;
+- a bend c of the tone curve, by which a camera's gamma shifts edges towards black.
 
 The marker and its derivatives are computed *at the image's own pixels* (`kernels`); the image itself is never
 resampled, so that its noise stays white.
@@ -84,7 +87,7 @@ class DesignMatrices:
         columns: (P, 16) the model's columns and, in column `PIXEL_ROW`, the pixels less `MIDDLE_GREY`, all
             times the pixels' weights; 0 for pixels that are not used.
         bends: (P, 3) T_xx, T_xy and T_yy times the weights, of markers whose blur is drawn as an ellipse;
-            (0, 3) where there is none.
+            (0, 3) where no blur is.
     """
 
     def __init__(

@@ -100,7 +100,7 @@ class PixelSamples:
         inlier_limits: tuple[Array, Array] | None = None,
         margin_px: Array | None = None,
     ) -> None:
-        """Read the pixels of the markers `rows` (R,) anew.
+        """Read the pixels of the markers `rows` (R,) again.
 
         Args:
             image: grey, (height, width).

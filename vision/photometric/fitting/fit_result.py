@@ -27,7 +27,7 @@ larger one is not reliable; the next fit, about the blur found, goes on from the
 
 @dataclass(frozen=True)
 class FitResults(RowRecord):
-    """How N markers were fitted.
+    """Results of the fits of N markers.
 
     Attributes:
         ids: (N,) marker ids.

@@ -7,8 +7,8 @@ The image of a point z is
 
 with four complex parameters: the centre p_0 = u + iv, px; the arm m, px, which is the similarity part; the
 squeeze k, px, by which the affine image of the square differs from a square; and the horizon h, 1/px, which
-is the projective part. The squeeze in image axes, `ε = k / m̄`, does not depend on how the marker is turned
-in the image, so that the markers of one plane can be compared by it (`plane`).
+is the projective part. The squeeze in image axes, `ε = k / m̄`, is the same however the marker is turned in
+the image. The markers of one plane are compared by it (`plane`).
 """
 
 from dataclasses import dataclass, replace

@@ -30,8 +30,8 @@ one pixel in 16000 of a normal distribution exceeds it. At half of it one in 22 
 the noise look smaller; at twice as much faint covers would count."""
 
 PIXEL_SHARE = 0.057
-"""Largest difference, as a share of the contrast, between an edge seen by square pixels and the same edge
-under the normal blur of equal variance by which it is modelled. Derived: `Φ(x / σ) - (x + 1/2)` is largest at
+"""Largest difference between an edge seen by square pixels and under the normal blur of equal variance by
+which it is modelled, as a share of the contrast. Derived: `Φ(x / σ) - (x + 1/2)` is largest at
 0.23 px. With a lens's blur it falls faster than with the fourth power of the two together."""
 
 LIMIT_FACTOR = 0.5

@@ -1,9 +1,9 @@
 """The plane that the markers of an image share, found from how each of them is squeezed.
 
 Seen by a camera whose axis is tilted or whose pixels are oblong, squares become parallelograms that shrink
-towards the horizon. With image points p = u + iv from the image's centre, the plane's map to the image is,
-but for a similarity, `p = A q / (1 + l·q)` with A squeezing by α; a marker at p is then squeezed, in image
-axes (`local_homography`), by
+towards the horizon. With image points p = u + iv from the image's centre, the plane's map to the image is
+`p = A q / (1 + l·q)` up to a similarity, with A squeezing by α. A marker at p is then squeezed, in image axes
+(`local_homography`), by
 
     ε(p) = (α (1 - p λ̄ / 2) - p λ / 2) / (1 - p̄ λ / 2 - p̄ λ̄ α / 2) ≈ α - p λ / 2,
 
@@ -48,8 +48,8 @@ CONVERGED = 1e-7
 squeezes are known, 1e-4 and more."""
 
 HORIZON_RIDGE = 1e-12
-"""Share of the normal matrix's trace that is added to its diagonal, so that markers that all lie in one
-place, which say nothing about a horizon, leave it at zero. Chosen above the rounding of double precision."""
+"""Share of the normal matrix's trace that is added to its diagonal. Markers that all lie in one place say
+nothing about a horizon, and then leave it at zero. Chosen above the rounding of double precision."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,8 @@ def squeeze_design_matrix(points: ComplexArray) -> ComplexArray:
 def fit_plane(points: ComplexArray, squeezes: ComplexArray, variances: Array) -> Plane:
     """Return the simplest plane that explains the squeezes of most markers, (N,), at image points (N,).
 
-    If no plane explains all of them, the tenth of the markers that lies farthest off is left out, and so on
-    until one does, since some may lie on something else or be covered in part. If none explains
+    Some markers may lie on something else or be covered in part. While no plane explains the rest, the tenth
+    of them that lies farthest off is left out. If none explains
     `MIN_SHARE_ON_PLANE` of the markers, the result has `shared` False. Arguments are those of
     `fit_plane_to_all`.
     """

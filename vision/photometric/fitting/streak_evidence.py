@@ -31,7 +31,7 @@ singular matrix. Chosen far below that of a marker of 8 px at noise 10."""
 
 @dataclass(frozen=True)
 class StreakEvidence:
-    """What N markers tell of a change of the streak; its two components are the real and imaginary parts.
+    """Evidence of N markers for a change of the streak, whose components are its real and imaginary parts.
 
     Attributes:
         informations: (N, 2, 2) the M of each marker, 1/px⁴.

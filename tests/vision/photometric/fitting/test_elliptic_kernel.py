@@ -32,7 +32,7 @@ def drawn(where, sigma_px, streak_px2):
 
 
 def on_lattice(where, sigma_px, streak_px2):
-    """What the marker is at pixels, sampled at 12 points a pixel along each axis, and blurred by FFT."""
+    """Sample the marker at 12 points a pixel along each axis, and blur it by FFT."""
     count, n = SIZE * FINE, cells_per_side(DICTIONARY)
     points = (np.arange(count) + 0.5) / FINE - 0.5
     away = points[None, :] + 1j * points[:, None] - where.centers[0]

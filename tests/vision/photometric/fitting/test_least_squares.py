@@ -23,7 +23,7 @@ MARKERS, ROWS = 12, 300
 
 
 def grown(solution, held, at):
-    """By how much the sum of squares grows where unknowns are held."""
+    """Return the growth of the sum of squares where unknowns are held."""
     return solution.constrained(held, at).residual_squares - solution.residual_squares
 
 
@@ -48,7 +48,7 @@ def solve(grams, pixels=ROWS):
 
 
 def ridge_of(columns):
-    """What is added to the squares of each column (12,)."""
+    """Return the ridge that is added to the squares of each column, (12,)."""
     ground = GROUND_RIDGE * np.equal(range(UNKNOWNS), GROUND)
     return SINGLE_PRECISION * ((columns**2).sum(axis=1) + ground) + ground
 

@@ -12,8 +12,8 @@ Numba compiles a kernel when its module is imported for the first time (`skyherd
 takes half a second, so that each module is imported by `fitting.compiled` when the first image, or the first
 marker, is seen that needs it.
 
-Code that is kept is compiled again when the file of the kernel itself changes, and not when only a part or a
-constant changes that it imports: whoever works on those deletes `__pycache__` first.
+Numba compiles a kernel again when its own file changes, and not when a part or a constant that it imports
+does. After a change to those, delete `__pycache__`.
 
 Every kernel takes one marker after another and adds up in a fixed order, on the thread that calls it, so that
 the same pixels give the same bytes. It holds no lock of Python's.

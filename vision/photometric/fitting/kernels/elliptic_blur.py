@@ -49,7 +49,7 @@ _NEXT = np.uintp(1)
 def _pass_edges(position: Any, reach: Any, per_cell: Any, edges: Any) -> tuple[Any, Any]:
     """Write down Φ and its first four derivatives at those edges along one axis that are within reach.
 
-    Arguments and results are those of `round_blur._pass_edges`, but for `edges`, (n + 1, `ORDER` + 1).
+    Arguments and results are those of `round_blur._pass_edges`, except that `edges` is (n + 1, `ORDER` + 1).
     """
     first, end = edges_in_reach(position, reach, len(edges))
     for edge in range(first, end):
@@ -122,7 +122,7 @@ def _blurred(
 
 @njit(**INLINE)
 def _growths(variances: tuple[Any, Any, Any], marker: Any) -> tuple[Any, Any, Any]:
-    """By how much a marker's blur grows towards the horizon: both components of Σ q, and q·Σ q.
+    """Return the growth of a marker's blur towards the horizon: both components of Σ q, and q·Σ q.
 
     Args:
         variances: σ_xx, σ_yy and σ_xy of Σ, the blur at the marker's centre.

@@ -23,7 +23,7 @@ MARKER = np.dtype(
         ("y_stretch", float),
     ]
 )
-"""What the kernels know of a marker; lengths are in marker sides unless a unit is given.
+"""Record of a marker for the kernels; lengths are in marker sides unless a unit is given.
 
 - `center`, px, and the axes X and Y and the `horizon`, 1/px, of `LocalHomographies.axes`;
 - `lean`, by how much the marker's image shrinks towards its points, and `squeeze`, by how much round blur

@@ -1,4 +1,4 @@
-"""What the model leaves of the pixels, and its sums over the cells of markers and over boxes of pixels."""
+"""Residuals of pixels from the model, and their sums over markers' cells and over boxes of pixels."""
 
 from typing import Any
 

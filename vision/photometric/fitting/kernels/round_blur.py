@@ -1,7 +1,7 @@
 """The model's columns at the pixels of markers under blur that is round, or nearly so, in the marker.
 
-The marker T and its derivatives are those of `blurred_edges`. What the marker's squeeze and lean add to them,
-for blur that is round in the image only, is taken to first order (`design_matrix`).
+The marker T and its derivatives are those of `blurred_edges`. For blur that is round in the image only, the
+marker's squeeze and lean add terms to them, which are taken to first order (`design_matrix`).
 """
 
 from typing import Any

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.special import ndtr
 
 UNKNOWNS = (
-    *("black", "contrast", "right", "down", "turn", "grow", "blur", "ground", "squeeze_x", "squeeze_y"),
-    *("light_x", "light_y", "lean_x", "lean_y", "tone"),
+    *("black", "contrast", "right", "down", "turn", "grow", "blur", "ground", "anisotropy_x", "anisotropy_y"),
+    *("light_x", "light_y", "keystone_x", "keystone_y", "tone"),
 )
 """Names of the model's columns, in their order; the pixels' own values follow."""
 
@@ -46,7 +46,7 @@ def columns_of(image, white, where, row, *, sigma, limit, ratio, half_card, text
 
     Every pixel of the image is asked whether it is the marker's. `half_card` is None where no ground counts.
     """
-    m, k, h = where.arms[row], where.squeezes[row], where.horizons[row]
+    m, k, h = where.similarities[row], where.anisotropies[row], where.perspectives[row]
     v, u = np.mgrid[: image.shape[0], : image.shape[1]]
     p = u + 1j * v - where.centers[row]
     near = 1 - (np.conj(h) * p).real
@@ -69,10 +69,10 @@ def columns_of(image, white, where, row, *, sigma, limit, ratio, half_card, text
     # A step δz of the pose: the marker's point z is seen where z + δz was, so that T changes by -∇T · δz.
     slopes = drawn.x + 1j * drawn.y
     moved = [-(np.conj(slopes) * step).real for step in (1 + 0 * z, 1j + 0 * z, 1j * z, z)]
-    squeezed = [-(np.conj(slopes) * step).real for step in (np.conj(z), 1j * np.conj(z))]
+    anisotropic = [-(np.conj(slopes) * step).real for step in (np.conj(z), 1j * np.conj(z))]
     leant = [(np.conj(slopes) * z).real * along for along in (x, y)]
     lit = [along * (ratio + white_share) for along in (x, y)]
-    columns = [np.ones(len(x)), white_share, *moved, log_blur, ground, *squeezed, *lit, *leant]
+    columns = [np.ones(len(x)), white_share, *moved, log_blur, ground, *anisotropic, *lit, *leant]
     columns += [white_share * (1 - white_share), image[mine] - 128.0]
     weights = 1 / np.sqrt(1 + (texture * ground) ** 2)
     return np.stack(columns, axis=1) * weights[:, None], np.stack([x, y], 1), np.stack([v[mine], u[mine]], 1)

@@ -8,56 +8,56 @@ from skyherd.geometry import Array, ComplexArray
 from skyherd.vision.photometric.fitting.plane import (
     CONVERGED,
     EXCESS,
-    HORIZON_RIDGE,
     MAX_ROUNDS,
+    PERSPECTIVE_RIDGE,
     SIGNIFICANT,
     Plane,
-    squeeze_design_matrix,
+    anisotropy_design_matrix,
 )
 
 
-def fit_plane_to_all(points: ComplexArray, squeezes: ComplexArray, variances: Array) -> Plane:
+def fit_plane_to_all(points: ComplexArray, anisotropies: ComplexArray, variances: Array) -> Plane:
     """Return what the function of this name in `skyherd.vision.photometric.fitting.plane` does."""
     if not np.isfinite(variances).any():
         return Plane()
-    best, least = Plane(), _chi_squared(Plane(), points, squeezes, variances)
+    best, least = Plane(), _chi_squared(Plane(), points, anisotropies, variances)
     per_freedom = least / (2 * points.size)
-    if _linear_fall(points, squeezes, variances) <= SIGNIFICANT:
+    if _linear_fall(points, anisotropies, variances) <= SIGNIFICANT:
         return replace(best, shared=per_freedom <= EXCESS)
     for unknowns in (2, 4):
         if 2 * points.size <= unknowns:
             break
-        plane = _solve(points, squeezes, variances, tilted=unknowns == 4)
-        chi_squared = _chi_squared(plane, points, squeezes, variances)
+        plane = _solve(points, anisotropies, variances, tilted=unknowns == 4)
+        chi_squared = _chi_squared(plane, points, anisotropies, variances)
         excess = max(chi_squared / (2 * points.size - unknowns), 1.0)
         if least - chi_squared > SIGNIFICANT * excess:
             best, least, per_freedom = plane, chi_squared, excess
     return replace(best, shared=per_freedom <= EXCESS)
 
 
-def _chi_squared(plane: Plane, points: ComplexArray, squeezes: ComplexArray, variances: Array) -> float:
-    return float(np.sum(np.abs(squeezes - plane.squeezes(points)) ** 2 / variances))
+def _chi_squared(plane: Plane, points: ComplexArray, anisotropies: ComplexArray, variances: Array) -> float:
+    return float(np.sum(np.abs(anisotropies - plane.anisotropies(points)) ** 2 / variances))
 
 
-def _linear_fall(points: ComplexArray, squeezes: ComplexArray, variances: Array) -> float:
+def _linear_fall(points: ComplexArray, anisotropies: ComplexArray, variances: Array) -> float:
     """Return the first-order decrease of the chi-squared with both α and λ."""
     weighted, normal = _normal_equations(points, variances)
-    (a, h), ((aa, ah), (_, hh)) = (weighted @ squeezes).tolist(), normal.tolist()
+    (a, h), ((aa, ah), (_, hh)) = (weighted @ anisotropies).tolist(), normal.tolist()
     fall = abs(a) ** 2 * hh.real + abs(h) ** 2 * aa.real - 2 * (a.conjugate() * ah * h).real
     return float(fall / (aa.real * hh.real - abs(ah) ** 2))
 
 
 def _normal_equations(points: ComplexArray, variances: Array) -> tuple[ComplexArray, ComplexArray]:
     """Return the weighted columns (2, N) of α and λ, and their normal matrix (2, 2)."""
-    design = squeeze_design_matrix(points)
+    design = anisotropy_design_matrix(points)
     weighted = design.conj().T / variances
     normal = weighted @ design
     diagonal = np.arange(2)
-    normal[diagonal, diagonal] += HORIZON_RIDGE * (normal[0, 0].real + normal[1, 1].real)
+    normal[diagonal, diagonal] += PERSPECTIVE_RIDGE * (normal[0, 0].real + normal[1, 1].real)
     return weighted, normal
 
 
-def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, tilted: bool) -> Plane:
+def _solve(points: ComplexArray, anisotropies: ComplexArray, variances: Array, *, tilted: bool) -> Plane:
     """Solve least squares in α, and in λ if `tilted`; second-order terms are those of the last round."""
     unknowns = 1 + tilted
     weighted, normal = _normal_equations(points, variances)
@@ -65,13 +65,13 @@ def _solve(points: ComplexArray, squeezes: ComplexArray, variances: Array, *, ti
     covariance[:unknowns, :unknowns] = np.linalg.inv(normal[:unknowns, :unknowns])
     plane = Plane()
     for _ in range(MAX_ROUNDS):
-        a, h = plane.squeeze, plane.horizon
-        second = (a * points * np.conj(h) - squeezes * points.conj() * (h + np.conj(h) * a)) / 2
-        solution = covariance @ (weighted @ (squeezes + second))
+        a, h = plane.anisotropy, plane.perspective
+        second = (a * points * np.conj(h) - anisotropies * points.conj() * (h + np.conj(h) * a)) / 2
+        solution = covariance @ (weighted @ (anisotropies + second))
         plane = Plane(complex(solution[0]), complex(solution[1]))
-        if abs(plane.squeeze) > 1 or abs(plane.horizon) * np.abs(points).max() > 1:
+        if abs(plane.anisotropy) > 1 or abs(plane.perspective) * np.abs(points).max() > 1:
             # Mirrored, or with a horizon among the markers: no camera sees a plane like this.
             return Plane()
-        if abs(plane.squeeze - a) + abs(plane.horizon - h) * np.abs(points).max() < CONVERGED:
+        if abs(plane.anisotropy - a) + abs(plane.perspective - h) * np.abs(points).max() < CONVERGED:
             break
     return replace(plane, covariance=covariance)

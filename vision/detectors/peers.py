@@ -30,7 +30,7 @@ from skyherd.messages.checks import shown
 from skyherd.vision.detectors.accuracy import load_bias
 from skyherd.vision.detectors.corners import detections_of_corners, opencv_corners
 from skyherd.vision.grey import check_grey
-from skyherd.vision.photometric.fitting.plane import squeeze_design_matrix
+from skyherd.vision.photometric.fitting.plane import anisotropy_design_matrix
 
 REFINEMENTS = {
     "opencv": cv2.aruco.CORNER_REFINE_NONE,
@@ -147,11 +147,11 @@ def headings_in_plane(corners_px: Array) -> Array:
     if len(corners_px) < TILT_MIN_MARKERS:
         return squares.headings_rad()
     away = (squares.centers - squares.centers.mean()) / np.abs(squares.similarities).max()
-    design = squeeze_design_matrix(away)
+    design = anisotropy_design_matrix(away)
     relative = squares.anisotropies / squares.similarities.conj()
-    squeezes = design @ np.linalg.lstsq(design, relative, rcond=None)[0] * squares.similarities.conj()
+    anisotropies = design @ np.linalg.lstsq(design, relative, rcond=None)[0] * squares.similarities.conj()
     # The forward axis of a marker, z = -i, maps to -i (m - k).
-    return np.asarray(np.angle(-1j * (squares.similarities - squeezes)))
+    return np.asarray(np.angle(-1j * (squares.similarities - anisotropies)))
 
 
 def _largest_of_each(ids: IntArray, corners: Array) -> tuple[IntArray, Array]:

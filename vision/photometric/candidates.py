@@ -130,6 +130,6 @@ def unambiguous(fits: FitResults) -> FitResults:
 
 def on_plane(homographies: LocalHomographies, plane: Plane, middle: complex) -> LocalHomographies:
     """Return homographies with the plane's anisotropies, where their own agree within corners' accuracy."""
-    squeezes = plane.squeezes(homographies.centers - middle) * homographies.arms.conj()
-    near = np.abs(squeezes - homographies.squeezes) < CORNER_ANISOTROPY_ERROR_PX
-    return replace(homographies, squeezes=np.where(near, squeezes, homographies.squeezes))
+    anisotropies = plane.anisotropies(homographies.centers - middle) * homographies.similarities.conj()
+    near = np.abs(anisotropies - homographies.anisotropies) < CORNER_ANISOTROPY_ERROR_PX
+    return replace(homographies, anisotropies=np.where(near, anisotropies, homographies.anisotropies))

@@ -83,7 +83,7 @@ def fit_all_sizes(
         )
         parts.append(scaled.full_size(fits))
         if len(parts) == 1:
-            fitted_plane = replace(here, horizon=here.horizon / scaled.shrink)
+            fitted_plane = replace(here, perspective=here.perspective / scaled.shrink)
     return reduce(FitResults.joined, parts).take(np.argsort(np.concatenate(order))), fitted_plane
 
 
@@ -137,8 +137,8 @@ class ScaledImage:
         return noise if self.shrink == 1 else math.hypot(noise / self.shrink, UNIFORM_VARIANCE**0.5)
 
     def plane(self, plane: Plane) -> Plane:
-        """Return the plane in shrunk pixels: its horizon is a reciprocal length."""
-        return replace(plane, horizon=plane.horizon * self.shrink)
+        """Return the plane in shrunk pixels: its perspective is a reciprocal length."""
+        return replace(plane, perspective=plane.perspective * self.shrink)
 
     def full_size(self, fits: FitResults) -> FitResults:
         """Return results of fits in the shrunk image in pixels of the full-size one."""

@@ -1,8 +1,8 @@
 """Where markers will be in the next image, extrapolated from the last two.
 
 Two kinds of motion are told apart. A robot on an arc, or a camera that turns or zooms, moves a marker's
-centre by steps that turn and grow as the marker's arm does; a camera that flies past moves it by equal steps.
-Each marker's next step is taken to be of the kind that its last step was nearer to.
+centre by steps that turn and grow as the marker's similarity does; a camera that flies past moves it by equal
+steps. Each marker's next step is taken to be of the kind that its last step was nearer to.
 
 When the camera's velocity changes, all markers lie elsewhere, the more so the farther from the image's centre
 they are. But they moved alike: a camera's motion over flat ground takes every point p of the image to about
@@ -54,8 +54,9 @@ class Tracks(RowRecord):
         times_s: (N,) when each was last seen.
         homographies: of the markers when they were last seen.
         velocities: (N,) of the centres, px/s, complex; zero for a marker seen once.
-        arm_log_rates: (N,) rates of the arms' logarithms, 1/s: real part growth, imaginary part rotation.
-        on_arc: (N,) whether the centres' steps turn and grow with the arms.
+        similarity_log_rates: (N,) rates of the similarities' logarithms, 1/s: real part growth, imaginary
+            part rotation.
+        on_arc: (N,) whether the centres' steps turn and grow with the similarities.
         sigmas_px: (N,) standard deviations of the blur, lens and pixel together, px.
         missed: (N,) images since then in which the marker was not found.
     """
@@ -64,7 +65,7 @@ class Tracks(RowRecord):
     times_s: Array
     homographies: LocalHomographies
     velocities: ComplexArray
-    arm_log_rates: ComplexArray
+    similarity_log_rates: ComplexArray
     on_arc: BoolArray
     sigmas_px: Array
     missed: IntArray
@@ -77,16 +78,17 @@ class Tracks(RowRecord):
     def predicted(self, time_s: float) -> LocalHomographies:
         """Return the homographies expected at `time_s`.
 
-        Arms go on turning and growing at their rates; so do the steps of centres `on_arc`, while the other
-        centres go on straight. The squeezes, which are fixed in image axes, turn with the arms.
+        Similarities go on turning and growing at their rates; so do the steps of centres `on_arc`, while the
+        other centres go on straight. The anisotropies, which are fixed in image axes, turn with the
+        similarities.
         """
         elapsed_s = self._elapsed_s(time_s)
-        turn = np.exp(self.arm_log_rates * elapsed_s)
+        turn = np.exp(self.similarity_log_rates * elapsed_s)
         return LocalHomographies(
             centers=self.homographies.centers + self.velocities * np.where(self.on_arc, turn, 1) * elapsed_s,
-            arms=self.homographies.arms * turn,
-            squeezes=self.homographies.squeezes * turn.conj(),
-            horizons=self.homographies.horizons,
+            similarities=self.homographies.similarities * turn,
+            anisotropies=self.homographies.anisotropies * turn.conj(),
+            perspectives=self.homographies.perspectives,
         )
 
     def updated(
@@ -105,8 +107,8 @@ class Tracks(RowRecord):
         now, before = now[near], before[near]
         last, elapsed_s = self.take(before), self._elapsed_s(time_s)[before]
         velocities[now] = (homographies.centers[now] - last.homographies.centers) / elapsed_s
-        rates[now] = np.log(homographies.arms[now] / last.homographies.arms) / elapsed_s
-        turned = last.velocities * np.exp(last.arm_log_rates * elapsed_s)
+        rates[now] = np.log(homographies.similarities[now] / last.homographies.similarities) / elapsed_s
+        turned = last.velocities * np.exp(last.similarity_log_rates * elapsed_s)
         on_arc[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - last.velocities)
         times_s, missed = np.full(ids.size, time_s), np.zeros(ids.size, dtype=np.int64)
         seen = Tracks(ids, times_s, homographies, velocities, rates, on_arc, sigmas_px, missed)
@@ -177,14 +179,14 @@ def common_motion(before: LocalHomographies, after: LocalHomographies) -> tuple[
 def apply_similarity(markers: LocalHomographies, motion: tuple[complex, complex]) -> LocalHomographies:
     """Return where a similarity (a, b) of the image takes markers.
 
-    Relative squeezes `k / m̄` and horizons stay: the camera's tilt makes them, in the image's axes.
+    Relative anisotropies `k / m̄` and perspectives stay: the camera's tilt makes them, in the image's axes.
     """
     a, b = motion
     return replace(
         markers,
         centers=a * markers.centers + b,
-        arms=a * markers.arms,
-        squeezes=np.conj(a) * markers.squeezes,
+        similarities=a * markers.similarities,
+        anisotropies=np.conj(a) * markers.anisotropies,
     )
 
 

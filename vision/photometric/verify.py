@@ -49,13 +49,13 @@ MAX_CELL_NOISE = 0.12
 """Largest noise of a cell's mean, as a share of what a wrong colour would leave. Chosen: an eighth; the limit
 of 0.4 above is then 3.3 standard deviations of the noise."""
 
-MAX_SQUEEZE = 0.6
-"""Largest squeeze of a marker's image, as a share of its arm. Derived: that of a tilt of 75 degrees, where
-`(1 - cos 75°) / (1 + cos 75°) = 0.59`."""
+MAX_ANISOTROPY = 0.6
+"""Largest anisotropy of a marker's image, as a share of its similarity. Derived: that of a tilt of 75
+degrees, where `(1 - cos 75°) / (1 + cos 75°) = 0.59`."""
 
-MAX_LEAN = 0.45
-"""Largest lean of a marker's image. Derived: a marker tilted by 75 degrees leans so where the camera is twice
-its side away."""
+MAX_KEYSTONE = 0.45
+"""Largest keystone of a marker's image. Derived: a marker tilted by 75 degrees has it where the camera
+is twice its side away."""
 
 MAX_BLUR_CELLS = 0.75
 """Largest blur, standard deviation in cells. Chosen: beyond it other markers, and even texture, can pass for
@@ -171,8 +171,8 @@ class Quantity(Enum):
     CELL_NOISE = "noise of a cell"
     LAST_STEP = "last step of the fit"
     AREA = "area in the image"
-    SQUEEZE = "squeeze"
-    LEAN = "lean"
+    ANISOTROPY = "anisotropy"
+    KEYSTONE = "keystone"
     WORST_CELL = "worst cell"
     PIXEL_RESIDUAL = "residual of the pixels"
     CELL_RESIDUAL = "residual of the cells"
@@ -245,7 +245,8 @@ def may_be_occluded(fits: FitResults, noise: float) -> BoolArray:
 def _plausibility_tests(fits: FitResults) -> list[FitTest]:
     """Return tests whether fits have contrast, sharpness, a shape and pixels such as markers have.
 
-    Contrast and white are grey levels, the blur is in cells, the others are shares of area, arm and side.
+    Contrast and white are grey levels, the blur is in cells, the others are shares of area, similarity and
+    side.
     """
     shapes = fits.homographies
     return [
@@ -253,8 +254,10 @@ def _plausibility_tests(fits: FitResults) -> list[FitTest]:
         FitTest(Quantity.WHITE, fits.blacks + fits.contrasts, MAX_WHITE),
         FitTest(Quantity.BLUR, fits.blurs_cells, MAX_BLUR_CELLS),
         FitTest(Quantity.AREA, fits.pixels / shapes.sides_px() ** 2, MIN_AREA_SHARE, at_least=True),
-        FitTest(Quantity.SQUEEZE, np.abs(shapes.squeezes) / np.abs(shapes.arms), MAX_SQUEEZE),
-        FitTest(Quantity.LEAN, np.abs(shapes.leans()), MAX_LEAN),
+        FitTest(
+            Quantity.ANISOTROPY, np.abs(shapes.anisotropies) / np.abs(shapes.similarities), MAX_ANISOTROPY
+        ),
+        FitTest(Quantity.KEYSTONE, np.abs(shapes.keystones()), MAX_KEYSTONE),
     ]
 
 

@@ -172,7 +172,7 @@ def test_shape_without_a_marker_border_is_not_called_a_marker(draw) -> None:
 
 
 def test_too_oblique(draw) -> None:
-    """At acos(0.2) = 78.5 deg the squeeze is `(1 - 0.2) / (1 + 0.2)` = 0.67."""
+    """At acos(0.2) = 78.5 deg the anisotropy is `(1 - 0.2) / (1 + 0.2)` = 0.67."""
     image = cv2.resize(draw(60, noise=0.0), (400, 80), interpolation=cv2.INTER_AREA)
     rejected, seen = likely(image), create_detector().detect(image)
     lost = sorted(set(IDS) - set(seen.ids.tolist()))
@@ -226,20 +226,20 @@ def test_markers_of_another_dictionary(draw) -> None:
 def broken(fits: FitResults, quantity: Quantity) -> FitResults:
     """Fits of which the first is changed so that it fails the test of one quantity, and none before it."""
     row, wrong = np.array([0]), WrongCellResiduals.of(fits)
-    arm, side = fits.homographies.arms[0], fits.homographies.sides_px()[0]
+    similarity, side = fits.homographies.similarities[0], fits.homographies.sides_px()[0]
     n = fits.cell_means.shape[1]
     checks = np.where(np.indices((n, n)).sum(axis=0) % 2, 1.0, -1.0)
     one_cell = np.zeros((n, n))
     one_cell[2, 3] = 0.45 * wrong.means[0]
-    grown = replace(fits.homographies, squeezes=np.full(len(fits.ids), 0.61 * arm))
-    leaning = replace(fits.homographies, horizons=np.full(len(fits.ids), 0.5 / side + 0j))
+    grown = replace(fits.homographies, anisotropies=np.full(len(fits.ids), 0.61 * similarity))
+    with_keystones = replace(fits.homographies, perspectives=np.full(len(fits.ids), 0.5 / side + 0j))
     changes = {
         Quantity.CONTRAST: {"contrasts": [11.0]},
         Quantity.WHITE: {"blacks": [150.0]},
         Quantity.BLUR: {"blurs_cells": [0.76]},
         Quantity.AREA: {"pixels": [0.7 * side**2]},
-        Quantity.SQUEEZE: {"homographies": grown},
-        Quantity.LEAN: {"homographies": leaning},
+        Quantity.ANISOTROPY: {"homographies": grown},
+        Quantity.KEYSTONE: {"homographies": with_keystones},
         Quantity.WORST_CELL: {"cell_means": one_cell[None]},
         Quantity.LAST_STEP: {"moved_px": [0.31]},
         Quantity.CELL_NOISE: {"noise_stds": 0.13 * wrong.means[:1] * wrong.cells_px[:1]},

@@ -39,8 +39,8 @@ def markers(place_markers, draw_markers):
 def candidates(image, print_contrast, *, first_is_known=True) -> list[int]:
     """Ids of the candidates that are fitted beside marker 3, or with it if that is not known."""
     state = CameraState(sigma_px=0.85, noise=2.0, print_contrast=print_contrast)
-    arms = np.array([SIDE_PX * 1j * np.exp(0.3j)])
-    first = LocalHomographies(PLACES[:1], arms, np.zeros(1, complex), np.zeros(1, complex))
+    similarities = np.array([SIDE_PX * 1j * np.exp(0.3j)])
+    first = LocalHomographies(PLACES[:1], similarities, np.zeros(1, complex), np.zeros(1, complex))
     there = first.take(np.arange(int(first_is_known)))
     found = find_candidates(image, DICTIONARY, state, find_quads(image), there, MIN_CORRELATION)
     return sorted(found.ids.tolist())
@@ -90,7 +90,7 @@ def slanted(place_markers, tilt_deg: float) -> np.ndarray:
 
 @pytest.mark.parametrize("number", range(3))
 def test_few_markers_get_no_plane_if_known_ones_have_none(place_markers, draw_markers, number) -> None:
-    """Two squeezes always lie as on some plane, here a level one, and centres are off by 0.1 px then."""
+    """Two anisotropies always lie as on some plane, here a level one, and centres are off by 0.1 px then."""
     rng = np.random.default_rng([10, number])
     image = draw_markers(slanted(place_markers, 68), [3, 7], SIZE, rng, noise=1.0)
 

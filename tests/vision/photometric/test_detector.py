@@ -143,8 +143,8 @@ def near(side_px, heading, center, seed=0):
     image = renderer.render(
         Shot(camera, CameraPose((0.0, 0.0), 1.0), np.array([9]), at, np.array([-heading]))
     )
-    arm = 1j * side_px * np.exp(1j * heading)
-    start = LocalHomographies(*(np.array([value], dtype=complex) for value in (center, arm, 0, 0)))
+    similarity = 1j * side_px * np.exp(1j * heading)
+    start = LocalHomographies(*(np.array([value], dtype=complex) for value in (center, similarity, 0, 0)))
     return image, start
 
 
@@ -158,8 +158,8 @@ def test_a_perfect_fit_recovers_the_pose_from_two_pixels_away():
     assert abs(fits.homographies.centers[0] - center) < 0.0015
     assert abs(fits.homographies.headings_rad()[0] - heading) < 5 * np.radians(0.0087) * 0.29 / 2 + 2e-4
     assert abs(fits.homographies.sides_px()[0] - 30.0) < 0.01
-    assert abs(fits.homographies.squeezes[0]) < 0.02, "px: no more than a side is off"
-    assert not plane.horizon
+    assert abs(fits.homographies.anisotropies[0]) < 0.02, "px: no more than a side is off"
+    assert not plane.perspective
 
 
 def test_a_fit_of_the_wrong_marker_is_refused():
@@ -171,7 +171,7 @@ def test_a_fit_of_the_wrong_marker_is_refused():
 
 
 def test_the_plane_of_a_tilted_camera_is_found():
-    """Squeeze and horizon of a camera tilted by 12 deg, by projective geometry: tan(tilt) / f, and
+    """Anisotropy and horizon of a camera tilted by 12 deg, by projective geometry: tan(tilt) / f, and
     (1 - cos) / (1 + cos) at the foot of the axis."""
     tilt, focal = np.radians(12.0), 400.0
     renderer = Renderer(DICTIONARY, 1.0, ground_of(1, 0.8), Sensor(2.0, np.random.default_rng(1)))
@@ -182,15 +182,15 @@ def test_the_plane_of_a_tilted_camera_is_found():
     detector.detect(image)
     plane = detector.states[0].plane
     assert plane.shared
-    # Each squeeze is known to 2 / 200 / 30 or so over 16 markers: 1e-4; the horizon to that over 200 px.
-    assert abs(abs(plane.horizon) - np.tan(tilt) / focal) < 5e-6
-    assert abs(abs(plane.squeeze) - (1 - np.cos(tilt)) / (1 + np.cos(tilt))) < 5e-4
+    # Each anisotropy is known to 2 / 200 / 30 or so over 16 markers: 1e-4; the horizon to that over 200 px.
+    assert abs(abs(plane.perspective) - np.tan(tilt) / focal) < 5e-6
+    assert abs(abs(plane.anisotropy) - (1 - np.cos(tilt)) / (1 + np.cos(tilt))) < 5e-4
 
 
 def test_ground_taken_for_markers_has_no_say():
-    """Smooth blobs that quadrilaterals were found in are each fitted well as a pale marker with a squeeze of
-    its own. The real markers beside them are measured as without them. Their poses would differ by a standard
-    deviation and more if the blobs had a say on the plane that all share."""
+    """Smooth blobs that quadrilaterals were found in are each fitted well as a pale marker with an anisotropy
+    of its own. The real markers beside them are measured as without them. Their poses would differ by a
+    standard deviation and more if the blobs had a say on the plane that all share."""
     rng = np.random.default_rng(3)
     ground = np.clip(gaussian_filter(rng.standard_normal((640, 640)), 4.0) * 300 + 128, 0, 255)
     renderer = Renderer(DICTIONARY, 1.0, Ground(0, contrast=0.0), Sensor(0.0, rng))
@@ -220,22 +220,22 @@ def test_ground_taken_for_markers_has_no_say():
 
 
 @pytest.mark.parametrize("aspect", [pytest.param(0.75, marks=pytest.mark.slow), 4 / 3])
-def test_squeezes_of_small_markers_have_no_error_in_common(aspect):
+def test_anisotropies_of_small_markers_have_no_error_in_common(aspect):
     """Ground that blurs into cards of 18 px is seen through a blur that is not round in the coordinates of
-    a squeezed marker. Taken as round it shifts all squeezes by 9e-5 (aspect 4/3) or 5e-4 (3/4); here the
-    mean over 24 images must be right to five deviations of its own, as their scatter tells them."""
+    an anisotropic marker. Taken as round it shifts all anisotropies by 9e-5 (aspect 4/3) or 5e-4 (3/4); here
+    the mean over 24 images must be right to five deviations of its own, as their scatter tells them."""
     rng = np.random.default_rng(2)
     ground, images = ground_of(2, 0.8), 24
     renderer = Renderer(DICTIONARY, 1.0, ground, Sensor(2.0, rng))
     camera, pose = Camera((640, 640), focal_px=180.0, aspect=aspect), CameraPose((0.0, 0.0), 10.0)
     grid = 6.0 * np.stack(np.meshgrid(np.arange(4) - 1.5, np.arange(4) - 1.5), axis=-1).reshape(-1, 2)
-    squeezes = []
+    anisotropies = []
     for _ in range(images):
         at, headings = grid + rng.uniform(-1.5, 1.5, grid.shape), rng.uniform(-np.pi, np.pi, 16)
         detector = PhotometricDetector(DICTIONARY)
         detector.detect(renderer.render(Shot(camera, pose, np.arange(16), at, headings)))
-        squeezes.append(detector.states[0].plane.squeeze)
-    off = np.array(squeezes) - (1 - aspect) / (1 + aspect)
+        anisotropies.append(detector.states[0].plane.anisotropy)
+    off = np.array(anisotropies) - (1 - aspect) / (1 + aspect)
     deviation = np.sqrt(np.var(off) / 2 / images)
     assert deviation < 3e-5
     assert abs(off.mean()) < 5 * deviation

@@ -21,9 +21,11 @@ SEEN = np.zeros(HOMES.size, dtype=np.int64)
 HEADINGS = 0.4 * np.arange(HOMES.size)
 
 
-def markers(centers, arms) -> LocalHomographies:
+def markers(centers, similarities) -> LocalHomographies:
     nothing = np.zeros(len(centers), dtype=complex)
-    return LocalHomographies(np.asarray(centers, complex), np.asarray(arms, complex), nothing, nothing)
+    return LocalHomographies(
+        np.asarray(centers, complex), np.asarray(similarities, complex), nothing, nothing
+    )
 
 
 @given(
@@ -36,7 +38,7 @@ def test_common_motion_is_independent_of_robot_rotations(a, b, seed, count) -> N
     rng = np.random.default_rng(seed)
     before = markers(rng.uniform(0, 600, (count, 2)) @ [1, 1j], 20 * np.exp(1j * rng.uniform(-3, 3, count)))
     after = apply_similarity(before, (a, b))
-    turned = markers(after.centers, after.arms * np.exp(1j * rng.uniform(-3, 3, count)))
+    turned = markers(after.centers, after.similarities * np.exp(1j * rng.uniform(-3, 3, count)))
     found = common_motion(before, turned)
     assert found == (pytest.approx(a, abs=1e-9), pytest.approx(b, abs=1e-6))
 
@@ -46,16 +48,18 @@ def test_one_or_two_markers_give_scale_by_side_and_no_rotation(count) -> None:
     """Though each turned by itself, and two drove past one another."""
     before = markers([100 + 50j, 160 + 50j][:count], [20, 20j][:count])
     own_ways = np.array([0j]) if count == 1 else np.array([4j, -4j])
-    after = markers(before.centers * 1.1 + 7 + own_ways, before.arms * 1.1 * np.exp(0.5j))
+    after = markers(before.centers * 1.1 + 7 + own_ways, before.similarities * 1.1 * np.exp(0.5j))
     assert common_motion(before, after) == (pytest.approx(1.1), pytest.approx(7))
 
 
 def test_tilt_stays_where_it_is_in_the_images_axes() -> None:
-    """A camera that yaws takes its tilt along: the relative squeeze k / conj(m) and the horizon stay."""
+    """A camera that yaws takes its tilt along: the relative anisotropy k / conj(m) and the horizon stay."""
     before = LocalHomographies(np.array([3 + 1j]), np.array([20j]), np.array([1 - 2j]), np.array([1e-4 + 0j]))
     after = apply_similarity(before, (1.05 * np.exp(0.3j), 5.0))
-    assert after.squeezes / after.arms.conj() == pytest.approx(before.squeezes / before.arms.conj())
-    assert after.horizons == pytest.approx(before.horizons)
+    assert after.anisotropies / after.similarities.conj() == pytest.approx(
+        before.anisotropies / before.similarities.conj()
+    )
+    assert after.perspectives == pytest.approx(before.perspectives)
     assert after.sides_px() == pytest.approx(1.05 * before.sides_px())
 
 

@@ -34,13 +34,15 @@ def flight(times, *, turn=0.0, zoom=0.0, arc=0.0, hub=200 + 150j):
     for t in times:
         camera = np.exp((zoom + 1j * turn) * t)
         robots = start + radius * np.exp(1j * arc * t) - (200 + 150j)
-        arms = 25.0 * np.exp(1j * arc * t) * camera * np.array([1, 1j])
-        squeezes = 0.1 * arms.conj()
-        yield LocalHomographies(200 + 150j + camera * robots, arms, squeezes, np.full(2, 1e-4 + 0j))
+        similarities = 25.0 * np.exp(1j * arc * t) * camera * np.array([1, 1j])
+        anisotropies = 0.1 * similarities.conj()
+        yield LocalHomographies(
+            200 + 150j + camera * robots, similarities, anisotropies, np.full(2, 1e-4 + 0j)
+        )
 
 
 def prediction_error(step_s, **motion):
-    """Largest error of the third image's centres, arms and squeezes, predicted from two, px."""
+    """Largest error of the third image's centres, similarities and anisotropies, predicted from two, px."""
     one, two, three = flight(1.7 + step_s * np.arange(3), **motion)
     tracks = (
         no_tracks()
@@ -49,7 +51,8 @@ def prediction_error(step_s, **motion):
     )
     ahead = tracks.predicted(1.0 + 2 * step_s)
     return max(
-        np.abs(getattr(ahead, name) - getattr(three, name)).max() for name in ("centers", "arms", "squeezes")
+        np.abs(getattr(ahead, name) - getattr(three, name)).max()
+        for name in ("centers", "similarities", "anisotropies")
     )
 
 
@@ -59,13 +62,15 @@ def prediction_error(step_s, **motion):
     ids=str,
 )
 def test_arcs_and_camera_rotation_or_zoom_are_predicted_exactly(motion):
-    """Each takes every step of a centre by one factor, `exp` of the arm's own rate: nothing is left over."""
+    """Each takes every step of a centre by one factor, `exp` of the similarity's rate: no error is left."""
     assert prediction_error(0.4, **motion) < 1e-10
 
 
 def test_straight_path_is_predicted_and_a_new_marker_stays():
     still = LocalHomographies(*(np.array([z], dtype=complex) for z in (100 + 50j, 20j, 0, 0)))
-    moved = LocalHomographies(still.centers + 3 - 1j, still.arms, still.squeezes, still.horizons)
+    moved = LocalHomographies(
+        still.centers + 3 - 1j, still.similarities, still.anisotropies, still.perspectives
+    )
     once = no_tracks().updated(0.0, np.array([5]), still, SIGMAS[:1])
     assert once.predicted(3.0).centers[0] == 100 + 50j
     assert once.updated(1.0, np.array([5]), moved, SIGMAS[:1]).predicted(1.5).centers[0] == pytest.approx(
@@ -87,9 +92,9 @@ def test_steps_that_turn_and_steps_that_do_not_are_told_apart():
     """One robot on an arc, one that turns while the camera flies past: after three images both are exact."""
 
     def homographies(t):
-        arms = 25.0 * np.exp(0.8j * t) * np.ones(2)
+        similarities = 25.0 * np.exp(0.8j * t) * np.ones(2)
         arc, past = 120 + 40 * np.exp(0.8j * t), 200 + 90j + (20 - 12j) * t
-        return LocalHomographies(np.array([arc, past]), arms, 0 * arms, 0 * arms)
+        return LocalHomographies(np.array([arc, past]), similarities, 0 * similarities, 0 * similarities)
 
     tracks, ids, times = no_tracks(), np.array([3, 8]), 0.5 * np.arange(5)
     for t in times[:3]:
@@ -102,8 +107,8 @@ def test_steps_that_turn_and_steps_that_do_not_are_told_apart():
 
 def test_markers_are_tracked_while_their_centres_are_in_view():
     centers = np.array([50 + 50j, -0.4 - 0.4j, 119.4 + 99.4j, -0.6 + 50j, 119.6 + 50j, 50 + 99.6j])
-    arms = np.full(centers.size, 20 + 0j)
-    homographies = LocalHomographies(centers, arms, 0 * arms, 0 * arms)
+    similarities = np.full(centers.size, 20 + 0j)
+    homographies = LocalHomographies(centers, similarities, 0 * similarities, 0 * similarities)
     assert in_view(homographies, (100, 120)).tolist() == [True, True, True, False, False, False]
 
 
@@ -213,7 +218,7 @@ def test_fits_do_not_depend_on_the_order_of_the_markers(place_markers, draw_mark
         )
         np.testing.assert_allclose(other.covariances, straight.covariances[order], rtol=1e-3, atol=1e-12)
         assert other_plane.shared == plane.shared
-        assert abs(other_plane.squeeze - plane.squeeze) < 1e-5
+        assert abs(other_plane.anisotropy - plane.anisotropy) < 1e-5
 
 
 def test_units_are_kept_apart(place_markers, draw_markers):

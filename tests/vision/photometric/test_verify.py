@@ -15,8 +15,8 @@ from skyherd.vision.photometric.verify import bits_are_right, verified
 DICTIONARY, SIGMA_PX, DISTANCE = "4X4_50", 0.85, 4
 
 
-def one_shape(center, arm):
-    return LocalHomographies(*(np.array([z], dtype=complex) for z in (center, arm, 0, 0)))
+def one_shape(center, similarity):
+    return LocalHomographies(*(np.array([z], dtype=complex) for z in (center, similarity, 0, 0)))
 
 
 # --- noise of an image ---
@@ -64,15 +64,15 @@ def test_a_fit_on_fewer_pixels_than_it_needs_is_none(place_markers, draw_markers
     image = draw_markers(place_markers(60 + 60j, 0.4, 60.0), [11], (120, 120), rng)
     for _ in range(20):
         centers = 60 + 60j + rng.uniform(-25, 25, 15) + 1j * rng.uniform(-25, 25, 15)
-        arms = rng.uniform(2, 4, 15) * np.exp(2j * np.pi * rng.uniform(size=15))
-        start = LocalHomographies(centers, arms, 0 * arms, 0 * arms)
+        similarities = rng.uniform(2, 4, 15) * np.exp(2j * np.pi * rng.uniform(size=15))
+        start = LocalHomographies(centers, similarities, 0 * similarities, 0 * similarities)
         fits, _ = fit_markers(image, DICTIONARY, rng.integers(0, 50, 15), start, SIGMA_PX, Plane())
         assert not verified(fits, 5.0, DISTANCE)[fits.homographies.sides_px() < 8].any()
 
 
 @pytest.mark.parametrize(("share", "believed"), [(0.0, True), (0.58, True), (0.62, False), (0.9, False)])
 def test_marker_of_more_anisotropy_than_75_deg_is_rejected(place_markers, draw_markers, share, believed):
-    """The tilt squeezes by `(1 - cos 75°) / (1 + cos 75°) = 0.59` of the arm; all else is of a good fit."""
+    """The tilt's anisotropy is `(1 - cos 75°) / (1 + cos 75°) = 0.59`; all else is of a good fit."""
     rng = np.random.default_rng(6)
     image = draw_markers(place_markers(50 + 50j, 0.4, 40.0), [11], (100, 100), rng)
     found = fit_markers(
@@ -80,10 +80,10 @@ def test_marker_of_more_anisotropy_than_75_deg_is_rejected(place_markers, draw_m
     )[0]
     assert verified(found, 5.0, DISTANCE).all()
     shapes = found.homographies
-    turned = share * np.abs(shapes.arms) * np.exp(1j)
-    squeezed = LocalHomographies(shapes.centers, shapes.arms, turned, shapes.horizons)
+    turned = share * np.abs(shapes.similarities) * np.exp(1j)
+    anisotropic = LocalHomographies(shapes.centers, shapes.similarities, turned, shapes.perspectives)
     enough = found.pixels + 10_000  # as many as any shape needs
-    fits = replace(found, homographies=squeezed, pixels=enough)
+    fits = replace(found, homographies=anisotropic, pixels=enough)
     assert verified(fits, 5.0, DISTANCE).all() == believed
 
 
@@ -102,8 +102,8 @@ def test_markers_seen_by_few_pixels_have_no_say_on_the_plane(place_markers, draw
     homes = 50 + 50j + 70 * (np.arange(9) % 3 + 1j * (np.arange(9) // 3))
     matrices = place_markers(homes, np.zeros(9), 30.0)
     image = draw_markers(matrices, range(9), (240, 240), rng)
-    arms = np.append(np.full(9, 30j), 3.0)
-    start = LocalHomographies(np.append(homes, 85 + 85j), arms, 0 * arms, 0 * arms)
+    similarities = np.append(np.full(9, 30j), 3.0)
+    start = LocalHomographies(np.append(homes, 85 + 85j), similarities, 0 * similarities, 0 * similarities)
     _, plane = fit_markers(image, DICTIONARY, np.append(np.arange(9), 35), start, SIGMA_PX, Plane())
     assert plane == Plane()
 
@@ -123,8 +123,8 @@ def nine_fits(place_markers, draw_markers):
     rng = np.random.default_rng(10)
     homes = 50 + 50j + 70 * (np.arange(9) % 3 + 1j * (np.arange(9) // 3))
     image = draw_markers(place_markers(homes, np.zeros(9), 30.0), range(9), (240, 240), rng)
-    arms = np.full(9, 30j)
-    start = LocalHomographies(homes, arms, 0 * arms, 0 * arms)
+    similarities = np.full(9, 30j)
+    start = LocalHomographies(homes, similarities, 0 * similarities, 0 * similarities)
     return fit_markers(image, DICTIONARY, np.arange(9), start, SIGMA_PX, Plane())[0]
 
 

@@ -66,9 +66,9 @@ def test_markers_under_perspective_have_quads(place_markers, draw_markers, seed)
     """Tilts of about 20 degrees: a horizon at 800-1600 px, an anisotropy of 0.1."""
     rng = np.random.default_rng([2, seed])
     horizon = np.exp(2j * np.pi * rng.uniform()) / rng.uniform(800, 1600)
-    squeeze = 0.1 * np.exp(2j * np.pi * rng.uniform())
+    anisotropy = 0.1 * np.exp(2j * np.pi * rng.uniform())
     middle = 132 * (1 + 1j)
-    plane = LocalHomographies(*(np.array([z], dtype=complex) for z in (middle, 1.0, squeeze, horizon)))
+    plane = LocalHomographies(*(np.array([z], dtype=complex) for z in (middle, 1.0, anisotropy, horizon)))
     square = 100 * SQUARE_CORNERS
     seen = to_points(plane.images(square)[0])
     camera = cv2.getPerspectiveTransform(

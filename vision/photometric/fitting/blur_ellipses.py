@@ -15,10 +15,10 @@ import numpy as np
 from skyherd.geometry import Array, BoolArray, ComplexArray
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 
-STEEP_SQUEEZE = 0.1
-"""Squeeze from which on a marker's blur is drawn as an ellipse and not as what a squeeze changes of round
-blur to first order. Derived: the second order is half of the square of twice the squeeze, 2 % of the blur's
-part of the image here; it is that of a tilt of 35 degrees."""
+STEEP_ANISOTROPY = 0.1
+"""Anisotropy from which on a marker's blur is drawn as an ellipse and not as what an anisotropy changes of
+round blur to first order. Derived: the second order is half of the square of twice the anisotropy, 2 % of the
+blur's part of the image here; it is that of a tilt of 35 degrees."""
 
 MIN_VARIANCE_PX2 = 0.25**2
 """Variance that is left of a blur across a streak, at least. Chosen: a little less than that of a square
@@ -26,8 +26,10 @@ pixel, 1/12."""
 
 
 def is_steep(homographies: LocalHomographies) -> BoolArray:
-    """Return which of N markers are squeezed so much that their blur is to be drawn as an ellipse."""
-    return np.asarray(np.abs(homographies.squeezes) > STEEP_SQUEEZE * np.abs(homographies.arms))
+    """Return which of N markers are so anisotropic that their blur is to be drawn as an ellipse."""
+    return np.asarray(
+        np.abs(homographies.anisotropies) > STEEP_ANISOTROPY * np.abs(homographies.similarities)
+    )
 
 
 def possible_streaks(streak_px2: complex, sigmas_px: Array) -> ComplexArray:
@@ -54,7 +56,7 @@ def blur_tables(homographies: LocalHomographies, sigmas: Array, streak_px2: comp
     """
     sigmas_px = sigmas / homographies.blurs(1.0)
     squares = sigmas**2
-    round_table = _table(-2 * squares * homographies.anisotropies(), squares)
+    round_table = _table(-2 * squares * homographies.blur_anisotropies(), squares)
     streaks = possible_streaks(streak_px2, sigmas_px)
     return np.hstack([round_table + _table(*_moments(homographies, streaks)), 2 * round_table])
 
@@ -71,7 +73,7 @@ def second_derivative_maps(homographies: LocalHomographies) -> Array:
 
 def _moments(homographies: LocalHomographies, streaks: ComplexArray) -> tuple[ComplexArray, Array]:
     """Return halves of E z² (N,) and E |z|² (N,) that streaks Q (N,), px², add in marker coordinates."""
-    m, k, areas = homographies.arms, homographies.squeezes, homographies.sides_px() ** 2
+    m, k, areas = homographies.similarities, homographies.anisotropies, homographies.sides_px() ** 2
     squared = (m.conj() ** 2 * streaks + k**2 * streaks.conj()) / areas**2
     return squared, -2 * (m.conj() * k.conj() * streaks).real / areas**2
 

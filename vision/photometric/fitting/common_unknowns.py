@@ -12,11 +12,11 @@ import numpy as np
 
 from skyherd.geometry import Array, BoolArray, ComplexArray
 from skyherd.vision.photometric.fitting.design_matrix import (
+    ANISOTROPY,
     BLACK,
-    LEAN,
+    KEYSTONE,
     LIGHT,
     MIDDLE_GREY,
-    SQUEEZE,
     TONE,
     UNKNOWNS,
 )
@@ -50,22 +50,23 @@ second number. Derived: a camera's gamma of 1 / 2.2 bends by 1.1 to 1.5, and nev
 Chosen: ground that looks like one marker under some curve must not choose the curve; three may be chance."""
 
 OWN_PLANES = Plane(shared=False)
-"""The plane of markers that share none: each has its own squeeze and lean."""
+"""The plane of markers that share none: each has its own anisotropy and keystone."""
 
-NO_HORIZON = 0j
-"""The horizon of a marker that does not lean, 1/px."""
+NO_PERSPECTIVE = 0j
+"""The perspective of a marker without keystone, 1/px."""
 
-LEAN_STD = 0.1
-"""Expected size of a marker's own lean, where no plane says what it is: the standard deviation of each of its
-two components, by which the marker's image grows along one side's length. Chosen: that of a marker seen from
-four sides away at a tilt of 25 degrees; a larger one lets small markers lean by their noise."""
+KEYSTONE_STD = 0.1
+"""Expected size of a marker's own keystone, where no plane says what it is: the standard deviation of each of
+its two components, by which the marker's image grows along one side's length. Chosen: that of a marker seen
+from four sides away at a tilt of 25 degrees; with a larger one, small markers take keystones from their
+noise."""
 
 NEAR_PLANE = 0.02
-"""Markers whose squeezes lie within this of a plane lean as the plane does, if most of an image's markers do.
-A plane does not explain them exactly where a lens bends it or processing feigns squeezes. Measured on
-photographs of boards: squeezes are 0.002 to 0.005 off, and the leans found differ from the plane's by their
-noise, 0.004 to 0.014. Held there, corners are off by 0.056, 0.124 and 0.140 px on three boards where free
-leans give 0.084, 0.137 and 0.153 px."""
+"""Markers whose anisotropies lie within this of a plane have its keystone, if most of an image's
+markers do. A plane does not explain them exactly where a lens bends it or processing feigns anisotropies.
+Measured on photographs of boards: anisotropies are 0.002 to 0.005 off, and the keystones found differ from
+the plane's by their noise, 0.004 to 0.014. Held there, corners are off by 0.056, 0.124 and 0.140 px on three
+boards where free keystones give 0.084, 0.137 and 0.153 px."""
 
 
 def hold_common_unknowns(
@@ -80,9 +81,9 @@ def hold_common_unknowns(
 ) -> tuple[LeastSquaresSolution, Plane]:
     """Return the solution with the unknowns held that the markers share, and the plane of the markers.
 
-    Light is held at even and the tone curve at straight where that explains the pixels, and squeezes and
-    leans at those of the plane. Where no plane explains the squeezes, each marker has its own; it leans as a
-    plane does that it is near to, or has its own lean, which is expected to be small.
+    Light is held at even and the tone curve at straight where that explains the pixels, and anisotropies and
+    keystones at those of the plane. Where no plane explains the anisotropies, each marker has its own; its
+    keystone is that of a plane that it is near to, or its own, which is expected to be small.
 
     Args:
         solution: with every unknown free.
@@ -162,75 +163,81 @@ def on_common_plane(
     most: bool = False,
     level: bool = False,
 ) -> tuple[LeastSquaresSolution, Plane]:
-    """Return the solution with squeezes and leans held at those of the plane that the inliers lie on.
+    """Return the solution with anisotropies and keystones held at those of the plane that the inliers lie on.
 
-    Where no plane explains the squeezes they are left free. Markers near the plane then lean as it does, and
-    the leans of others are expected about zero.
+    Where no plane explains the anisotropies they are left free. Markers near the plane then have its
+    keystone, and the keystones of others are expected about zero.
 
     Args:
-        solution: with squeezes and leans free.
+        solution: with anisotropies and keystones free.
         start: homographies about which it is linear.
         middle: centre of the image, u + iv, px.
         inliers: (N,) which markers the plane is fitted to.
-        plane: of the step before, which says how markers lean while their squeezes are compared.
+        plane: of the step before, which gives the markers' keystones while their anisotropies are compared.
         most: whether a plane is enough that explains most of the inliers, not all.
-        level: whether leans are held at zero where no plane explains the squeezes.
+        level: whether keystones are held at zero where no plane explains the anisotropies.
 
     Returns:
         The solution, and the plane.
     """
     points = start.centers - middle
-    plane_before = plane.horizons(points) if plane.shared else NO_HORIZON
-    leaning = solution.constrained(LEAN, _leans(solution, start, plane_before))
-    squeezes = _squeezes(leaning, start)
-    plane = _common_plane(leaning, points, squeezes, inliers, fit_plane if most else fit_plane_to_all)
+    plane_before = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
+    with_keystones = solution.constrained(KEYSTONE, _keystones(solution, start, plane_before))
+    anisotropies = _anisotropies(with_keystones, start)
+    plane = _common_plane(
+        with_keystones, points, anisotropies, inliers, fit_plane if most else fit_plane_to_all
+    )
     if plane.shared:
-        leaning = solution.constrained(LEAN, _leans(solution, start, plane.horizons(points)))
-        return leaning.constrained(SQUEEZE, _steps_to(plane.squeezes(points), leaning, start)), plane
+        with_keystones = solution.constrained(
+            KEYSTONE, _keystones(solution, start, plane.perspectives(points))
+        )
+        return with_keystones.constrained(
+            ANISOTROPY, _steps_to(plane.anisotropies(points), with_keystones, start)
+        ), plane
     if level:
-        return solution.constrained(LEAN, _leans(solution, start, NO_HORIZON)), plane
-    near = _near(plane, points, squeezes, inliers)
-    horizons = np.where(near, plane.horizons(points), NO_HORIZON)
-    return on_own_planes(solution, start, horizons, np.where(near, 0.0, LEAN_STD)), plane
+        return solution.constrained(KEYSTONE, _keystones(solution, start, NO_PERSPECTIVE)), plane
+    near = _near(plane, points, anisotropies, inliers)
+    perspectives = np.where(near, plane.perspectives(points), NO_PERSPECTIVE)
+    return on_own_planes(solution, start, perspectives, np.where(near, 0.0, KEYSTONE_STD)), plane
 
 
 def on_own_planes(
     solution: LeastSquaresSolution,
     start: LocalHomographies,
-    horizons: ComplexArray | complex = NO_HORIZON,
-    lean_stds: Array | float = LEAN_STD,
+    perspectives: ComplexArray | complex = NO_PERSPECTIVE,
+    keystone_stds: Array | float = KEYSTONE_STD,
 ) -> LeastSquaresSolution:
-    """Return the solution with the squeezes free and the leans expected about those of given horizons.
+    """Return the solution with free anisotropies, and keystones expected about those of given perspectives.
 
     Args:
-        solution: with squeezes and leans free.
+        solution: with anisotropies and keystones free.
         start: homographies about which it is linear.
-        horizons: (N,) where leans are expected, or one for all, 1/px.
-        lean_stds: (N,) standard deviations of each of a lean's components about that, or one for all.
+        perspectives: (N,) where keystones are expected, or one for all, 1/px.
+        keystone_stds: (N,) standard deviations of each of a keystone's components about that, or one for all.
     """
-    leans = _leans(solution, start, horizons)
-    noise_stds = solution.constrained(LEAN, leans).noise_stds()
-    return solution.expected(LEAN, leans, (lean_stds * solution.contrasts() / noise_stds) ** 2)
+    keystones = _keystones(solution, start, perspectives)
+    noise_stds = solution.constrained(KEYSTONE, keystones).noise_stds()
+    return solution.expected(KEYSTONE, keystones, (keystone_stds * solution.contrasts() / noise_stds) ** 2)
 
 
-def _leans(
-    solution: LeastSquaresSolution, start: LocalHomographies, horizons: ComplexArray | complex
+def _keystones(
+    solution: LeastSquaresSolution, start: LocalHomographies, perspectives: ComplexArray | complex
 ) -> Array:
-    """Return values (N, 2) of the unknowns `LEAN` for horizons (N,), or one for all, 1/px."""
-    steps = start.leans_to(np.broadcast_to(np.asarray(horizons, dtype=complex), start.centers.shape))
+    """Return values (N, 2) of the unknowns `KEYSTONE` for perspectives (N,), or one for all, 1/px."""
+    steps = start.keystones_to(np.broadcast_to(np.asarray(perspectives, dtype=complex), start.centers.shape))
     return _components(steps) * solution.contrasts()[:, None]
 
 
-def _steps_to(squeezes: ComplexArray, solution: LeastSquaresSolution, start: LocalHomographies) -> Array:
-    """Return values (N, 2) of the unknowns `SQUEEZE` for squeezes (N,) in image axes."""
-    steps = (squeezes * start.arms.conj() - start.squeezes) / start.arms
+def _steps_to(anisotropies: ComplexArray, solution: LeastSquaresSolution, start: LocalHomographies) -> Array:
+    """Return values (N, 2) of the unknowns `ANISOTROPY` for anisotropies (N,) in image axes."""
+    steps = (anisotropies * start.similarities.conj() - start.anisotropies) / start.similarities
     return _components(steps) * solution.contrasts()[:, None]
 
 
-def _squeezes(solution: LeastSquaresSolution, start: LocalHomographies) -> ComplexArray:
-    """Squeezes (N,) in image axes that a solution gives."""
-    found = solution.values[:, SQUEEZE] @ np.array([1, 1j]) / solution.contrasts()
-    return np.asarray((start.squeezes + start.arms * found) / start.arms.conj())
+def _anisotropies(solution: LeastSquaresSolution, start: LocalHomographies) -> ComplexArray:
+    """Anisotropies (N,) in image axes that a solution gives."""
+    found = solution.values[:, ANISOTROPY] @ np.array([1, 1j]) / solution.contrasts()
+    return np.asarray((start.anisotropies + start.similarities * found) / start.similarities.conj())
 
 
 def _components(steps: ComplexArray) -> Array:
@@ -238,9 +245,9 @@ def _components(steps: ComplexArray) -> Array:
     return np.stack([steps.real, steps.imag], axis=1)
 
 
-def _near(plane: Plane, points: ComplexArray, squeezes: ComplexArray, inliers: BoolArray) -> BoolArray:
+def _near(plane: Plane, points: ComplexArray, anisotropies: ComplexArray, inliers: BoolArray) -> BoolArray:
     """Return which markers (N,) lie within `NEAR_PLANE` of a plane; none unless most inliers do."""
-    near = np.abs(squeezes - plane.squeezes(points)) < NEAR_PLANE
+    near = np.abs(anisotropies - plane.anisotropies(points)) < NEAR_PLANE
     enough = max(MIN_MARKERS_ON_PLANE, MIN_SHARE_ON_PLANE * np.count_nonzero(inliers))
     return near & (np.count_nonzero(near & inliers) >= enough)
 
@@ -248,12 +255,12 @@ def _near(plane: Plane, points: ComplexArray, squeezes: ComplexArray, inliers: B
 def _common_plane(
     solution: LeastSquaresSolution,
     points: ComplexArray,
-    squeezes: ComplexArray,
+    anisotropies: ComplexArray,
     inliers: BoolArray,
     fit: Callable[[ComplexArray, ComplexArray, Array], Plane],
 ) -> Plane:
-    """Return the plane that the inliers lie on, from squeezes (N,) in image axes at image points (N,)."""
-    spread = solution.inverse_normals[:, SQUEEZE, SQUEEZE].mean(axis=1)
+    """Return the plane that the inliers lie on, from anisotropies (N,) in image axes at image points (N,)."""
+    spread = solution.inverse_normals[:, ANISOTROPY, ANISOTROPY].mean(axis=1)
     counted = (spread > 0) & (solution.pixels > MIN_PIXELS_FOR_PLANE) & inliers
     spread = np.where(counted, spread, np.inf)
-    return fit(points, squeezes, spread * (solution.noise_stds() / solution.contrasts()) ** 2)
+    return fit(points, anisotropies, spread * (solution.noise_stds() / solution.contrasts()) ** 2)

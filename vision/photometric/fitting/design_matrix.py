@@ -8,7 +8,8 @@ z = z(p) = x + iy, the grey level of pixel p is
 with these unknowns, 15 in all, of which eight make up a homography:
 
 - black level a and contrast b (white minus black), whose ratio is r = a / b;
-- a step of the pose, δz = d + (s + iθ) z + e z̄ - z Re(q̄ z): shift d, scale s, rotation θ, squeeze e, lean q;
+- a step of the pose, δz = d + (s + iθ) z + e z̄ - z Re(q̄ z): shift d, scale s, rotation θ, anisotropy e,
+  keystone q;
 - a change δ log σ of the blur's logarithm;
 - ground level g beyond the card, which covers the share A of a pixel;
 - light l that changes over the marker;
@@ -17,11 +18,11 @@ with these unknowns, 15 in all, of which eight make up a homography:
 The marker and its derivatives are computed *at the image's own pixels* (`kernels`); the image itself is never
 resampled, so that its noise stays white.
 
-Blur that is round in the image is not round in the coordinates of a marker that is squeezed. A squeeze
+Blur that is round in the image is not round in the coordinates of a marker that is anisotropic. An anisotropy
 z ↦ z + e z̄ leaves there a blur of variances σ² (1 ∓ 2 e_x) and covariance -2 σ² e_y, to first order, and so
 changes T by `- e_x σ² (T_xx - T_yy) - 2 e_y σ² T_xy`. Towards the horizon the marker shrinks by `w^(-3/2)`
-with `w = 1 + Re(h̄ m z)`, so that the blur grows in its coordinates, and the squeeze changes by `- h m̄ z / 2`.
-Blur that differs more along its directions, at a steep tilt or by a streak, is drawn as what it is
+with `w = 1 + Re(h̄ m z)`, so that the blur grows in its coordinates, and the anisotropy changes by `- h m̄ z
+/ 2`. Blur that differs more along its directions, at a steep tilt or by a streak, is drawn as what it is
 (`blur_ellipses`, `kernels.elliptic_blur`).
 
 Ground seen through the blur near the card's edge has a texture, which the model does not describe. Pixels are
@@ -47,7 +48,7 @@ Floats = npt.NDArray[np.float32]
 BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND = range(8)
 """Indices of the unknowns with one component, in the order of the model's columns."""
 
-SQUEEZE, LIGHT, LEAN = [8, 9], [10, 11], [12, 13]
+ANISOTROPY, LIGHT, KEYSTONE = [8, 9], [10, 11], [12, 13]
 """Indices of the unknowns with two components each."""
 
 TONE = [14]
@@ -59,7 +60,7 @@ UNKNOWNS = 15
 PIXEL_ROW = UNKNOWNS
 """Index of the pixels' own values, which are stored beside the model's columns."""
 
-POSE = [RIGHT, DOWN, TURN, GROW, *SQUEEZE, *LEAN]
+POSE = [RIGHT, DOWN, TURN, GROW, *ANISOTROPY, *KEYSTONE]
 """Indices of the unknowns that make up a step of the pose."""
 
 MIDDLE_GREY = 128.0
@@ -131,7 +132,7 @@ class DesignMatrices:
         """Fill in the pixels of markers of which some are `elliptic` (N,), each run of a kind by itself."""
         self.bends = np.zeros((len(self.columns), 3), dtype=np.float32)
         tables = blur_tables(homographies, markers["sigma"], appearances.streak_px2 or 0j)
-        markers["lean"] = np.where(elliptic, homographies.leans(), markers["lean"])
+        markers["keystone"] = np.where(elliptic, homographies.keystones(), markers["keystone"])
         runs = [0, *(np.flatnonzero(np.diff(elliptic)) + 1).tolist(), self.rows.size]
         for first, end in pairwise(runs):
             own, cells = markers[first:end], appearances.cells[first:end]
@@ -224,16 +225,16 @@ class DesignMatrices:
 def _markers(homographies: LocalHomographies, appearances: MarkerAppearances) -> npt.NDArray[np.void]:
     """Return the records (N,), `MARKER`, from which the kernel draws markers.
 
-    In the coordinates of a marker that is squeezed by e = k / m, blur that is round in the image has standard
-    deviations `σ |1 ∓ e| / sqrt(1 + |e|²)` along x and y, with σ that of their mean variance
+    In the coordinates of a marker that is anisotropic by e = k / m, blur that is round in the image has
+    standard deviations `σ |1 ∓ e| / sqrt(1 + |e|²)` along x and y, with σ that of their mean variance
     (`LocalHomographies.blurs`).
     """
     markers = np.zeros(len(homographies), dtype=kernel("marker_record").MARKER)
-    limits, relative = appearances.read_limits, homographies.squeezes / homographies.arms
-    strips = limits / (1 - np.minimum(np.abs(homographies.leans()) * np.sqrt(2) * limits, MAX_GROWTH))
-    right = homographies.arms + homographies.squeezes
-    down = homographies.arms - homographies.squeezes
-    markers["center"], markers["horizon"] = homographies.centers, homographies.horizons
+    limits, relative = appearances.read_limits, homographies.anisotropies / homographies.similarities
+    strips = limits / (1 - np.minimum(np.abs(homographies.keystones()) * np.sqrt(2) * limits, MAX_GROWTH))
+    right = homographies.similarities + homographies.anisotropies
+    down = homographies.similarities - homographies.anisotropies
+    markers["center"], markers["perspective"] = homographies.centers, homographies.perspectives
     markers["x_axis"], markers["y_axis"] = homographies.axes()
     markers["limit"], markers["strip"] = limits, strips
     markers["height_px"] = strips * (np.abs(right.imag) + np.abs(down.real))
@@ -243,6 +244,6 @@ def _markers(homographies: LocalHomographies, appearances: MarkerAppearances) ->
     spread = np.sqrt(1 + np.abs(relative) ** 2)
     markers["x_stretch"], markers["y_stretch"] = np.abs(1 - relative) / spread, np.abs(1 + relative) / spread
     if appearances.round_in_image:
-        markers["lean"] = homographies.horizons * homographies.arms.conj()
-        markers["squeeze"] = homographies.anisotropies()
+        markers["keystone"] = homographies.perspectives * homographies.similarities.conj()
+        markers["anisotropy"] = homographies.blur_anisotropies()
     return markers

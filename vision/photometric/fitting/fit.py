@@ -3,7 +3,7 @@
 Each step is a Gauss-Newton step in all of a marker's unknowns at once
 (`design_matrix`). Two hypotheses are tried on all markers of the image together,
 since they are then better tested than on one marker: that light does not change over the markers, and that
-the squeezes are those of one plane (`plane`). Where they hold, the unknowns
+the anisotropies are those of one plane (`plane`). Where they hold, the unknowns
 concerned are held, which leaves fewer to be estimated. The error after a step is of third order in the step,
 so that one step is enough from a good prediction. The covariance is `σ_n² (JᵀJ)⁻¹`, with the standard
 deviation of the noise σ_n from the residuals themselves.
@@ -21,11 +21,11 @@ from skyherd.vision.photometric.fitting.appearance import MarkerAppearances, app
 from skyherd.vision.photometric.fitting.common_unknowns import hold_common_unknowns
 from skyherd.vision.photometric.fitting.correlated_noise import BOX_PX, MAX_MARKERS, box_ratios
 from skyherd.vision.photometric.fitting.design_matrix import (
+    ANISOTROPY,
     BLACK,
     CONTRAST,
-    LEAN,
+    KEYSTONE,
     MIDDLE_GREY,
-    SQUEEZE,
     UNKNOWNS,
     DesignMatrices,
 )
@@ -47,7 +47,7 @@ SETTLED_PX = 0.08
 grey levels. Derived: as `∫ T' T'' = 0` over an edge, a step s leaves an error in proportion to s³, and the
 noise one in proportion to itself. A smaller limit costs more steps, a larger one leaves part of the step."""
 
-SETTLED_HORIZON_PX = 0.002
+SETTLED_PERSPECTIVE_PX = 0.002
 """A marker has not settled while the plane's last change moves one of its corners by more than this. Chosen:
 about the standard deviation of the position of a marker of 20 px (`photometric_accuracy.toml`)."""
 
@@ -207,7 +207,8 @@ def fit_markers(
         homographies: N of them, where to begin.
         sigma_px: standard deviation of the blur of lens and pixel together, as far as it is known: of all
             markers, or (N,) of each.
-        plane: of the markers, as far as it is known. If it is not, their own horizons are where they begin.
+        plane: of the markers, as far as it is known. If it is not, their own perspectives are where they
+            begin.
         noise: standard deviation of a pixel, grey levels, as far as it is known.
         max_steps: most steps taken; a marker that has settled takes no more.
         alone: whether each marker has a plane of its own, also if one would explain them all.
@@ -223,7 +224,7 @@ def fit_markers(
     appearances = appearances_of(dictionary, ids, blurs, plane, noise, streak_px2)
     samples, n_cells = PixelSamples(ids.size), cells_per_side(dictionary)
     if plane.shared and plane != Plane():
-        homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
+        homographies = replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))
     start = homographies
     rows, right = np.arange(ids.size), np.ones(ids.size, dtype=bool)
     for number in range(1, max_steps + 1):
@@ -243,9 +244,11 @@ def fit_markers(
         )
         homographies, moved_px = stepped(solution, start)
         if plane.shared:
-            homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
-        bent_px = np.abs(homographies.horizons - start.horizons) * sides_px**2 / 2
-        unsettled = (moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > SETTLED_HORIZON_PX)
+            homographies = replace(
+                homographies, perspectives=plane.perspectives(homographies.centers - middle)
+            )
+        bent_px = np.abs(homographies.perspectives - start.perspectives) * sides_px**2 / 2
+        unsettled = (moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > SETTLED_PERSPECTIVE_PX)
         rows = np.flatnonzero(unsettled & (right | (number < max_steps / 2)))
         if not rows.size:
             break
@@ -289,10 +292,10 @@ def stepped(
     steps = solution.values / solution.contrasts()[:, None]
     shift = steps[:, design_matrix.RIGHT] + 1j * steps[:, design_matrix.DOWN]
     grow = steps[:, design_matrix.GROW] + 1j * steps[:, design_matrix.TURN]
-    squeeze, lean = (steps[:, pair] @ np.array([1, 1j]) for pair in (SQUEEZE, LEAN))
+    anisotropy, keystone = (steps[:, pair] @ np.array([1, 1j]) for pair in (ANISOTROPY, KEYSTONE))
     size = np.sqrt(
-        np.abs(shift) ** 2 + (np.abs(grow) ** 2 + np.abs(squeeze) ** 2) / 4 + np.abs(lean) ** 2 / 16
+        np.abs(shift) ** 2 + (np.abs(grow) ** 2 + np.abs(anisotropy) ** 2) / 4 + np.abs(keystone) ** 2 / 16
     )
     cut = np.minimum(1.0, MAX_STEP / np.maximum(size, MIN_STEP))
-    moved = homographies.moved(cut * shift, cut * grow, cut * squeeze, cut * lean)
+    moved = homographies.moved(cut * shift, cut * grow, cut * anisotropy, cut * keystone)
     return moved, size * homographies.sides_px()

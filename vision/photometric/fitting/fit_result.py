@@ -9,11 +9,11 @@ from skyherd.markers.dictionary import cells_per_side
 from skyherd.messages import Quality
 from skyherd.vision.photometric.fitting import design_matrix
 from skyherd.vision.photometric.fitting.design_matrix import (
+    ANISOTROPY,
     BLACK,
     BLUR,
     CONTRAST,
     MIDDLE_GREY,
-    SQUEEZE,
     UNKNOWNS,
 )
 from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
@@ -126,7 +126,7 @@ def fit_results_of(
     cell_residuals: tuple[Array, Array],
     moved_px: Array,
     blurs: Array,
-    squeeze_variances: Array,
+    anisotropy_variances: Array,
     correlation: tuple[Array, Array] | None = None,
 ) -> FitResults:
     """Return the results of N markers from the solution of the fit's last step.
@@ -138,7 +138,7 @@ def fit_results_of(
         cell_residuals: as `PixelSamples.cell_residuals` returns them.
         moved_px: (N,) how far the last step moved the middles of the sides.
         blurs: (N,) standard deviations of the blurs that were assumed, in marker sides.
-        squeeze_variances: (N,) variances of each component of the squeezes that were held.
+        anisotropy_variances: (N,) variances of each component of the anisotropies that were held.
         correlation: as `PixelSamples.variance_ratios` returns it; not known if left out.
     """
     cell_means, peaks = cell_residuals
@@ -148,7 +148,7 @@ def fit_results_of(
     return FitResults(
         ids=ids,
         homographies=homographies,
-        covariances=_covariances(solution, homographies, squeeze_variances),
+        covariances=_covariances(solution, homographies, anisotropy_variances),
         blacks=solution.values[:, BLACK] + MIDDLE_GREY,
         contrasts=solution.values[:, CONTRAST],
         noise_stds=solution.noise_stds(),
@@ -167,7 +167,7 @@ def fit_results_of(
 
 
 def _covariances(
-    solution: LeastSquaresSolution, homographies: LocalHomographies, squeeze_variances: Array
+    solution: LeastSquaresSolution, homographies: LocalHomographies, anisotropy_variances: Array
 ) -> Array:
     """Covariances (N, 3, 3) of (u, v, heading) if noise is independent from pixel to pixel.
 
@@ -175,7 +175,7 @@ def _covariances(
     """
     influences, maps = pose_influences(solution, homographies)
     covariances = influences @ maps.transpose(0, 2, 1) * (solution.noise_stds() ** 2)[:, None, None]
-    covariances[:, 2, 2] += maps[:, 2, SQUEEZE[1]] ** 2 * solution.contrasts() ** 2 * squeeze_variances
+    covariances[:, 2, 2] += maps[:, 2, ANISOTROPY[1]] ** 2 * solution.contrasts() ** 2 * anisotropy_variances
     return np.asarray(covariances)
 
 
@@ -185,12 +185,12 @@ def pose_influences(solution: LeastSquaresSolution, homographies: LocalHomograph
     Both are (N, 3, 15): P C and P, with C the inverse normal matrices. A step moves the centre by
     `m d + k d̄` and turns forward by `Re((m + k) / (m - k)) (θ - e_shear)`; steps are unknowns over contrast.
     """
-    right = homographies.arms + homographies.squeezes
-    down = 1j * (homographies.arms - homographies.squeezes)
-    turn = (right / (homographies.arms - homographies.squeezes)).real
+    right = homographies.similarities + homographies.anisotropies
+    down = 1j * (homographies.similarities - homographies.anisotropies)
+    turn = (right / (homographies.similarities - homographies.anisotropies)).real
     maps = np.zeros((len(homographies), 3, UNKNOWNS))
     for column, axis in ((design_matrix.RIGHT, right), (design_matrix.DOWN, down)):
         maps[:, 0, column], maps[:, 1, column] = axis.real, axis.imag
-    maps[:, 2, design_matrix.TURN], maps[:, 2, SQUEEZE[1]] = turn, -turn
+    maps[:, 2, design_matrix.TURN], maps[:, 2, ANISOTROPY[1]] = turn, -turn
     maps /= solution.contrasts()[:, None, None]
     return maps @ solution.inverse_normals, maps

@@ -7,7 +7,7 @@ with every unknown free also gives the solution in which some of them, h, are he
 
 with C the inverse normal matrix; the sum of squares grows by `(x_h - v)ᵀ C_hh⁻¹ (x_h - v)`. With `C_hh + P`
 in place of C_hh, the unknowns are not held, but expected at v with variances P. One Gram matrix a marker thus
-answers every question that is asked by holding unknowns (is the light even? do the squeezes belong to one
+answers every question that is asked by holding unknowns (is the light even? do the anisotropies belong to one
 plane?) without looking at the pixels again.
 """
 

@@ -5,10 +5,10 @@ The image of a point z is
 
     p(z) = p_0 + (m z + k z̄) / (1 + Re(h̄ (m z + k z̄))),
 
-with four complex parameters: the centre p_0 = u + iv, px; the arm m, px, which is the similarity part; the
-squeeze k, px, by which the affine image of the square differs from a square; and the horizon h, 1/px, which
-is the projective part. The squeeze in image axes, `ε = k / m̄`, is the same however the marker is turned in
-the image. The markers of one plane are compared by it (`plane`).
+with four complex parameters: the centre p_0 = u + iv, px; the similarity m, px; the anisotropy k, px, by
+which the affine image of the square differs from a square; and the perspective h, 1/px. The anisotropy in
+image axes, `ε = k / m̄`, is the same however the marker is turned in the image. The markers of one plane are
+compared by it (`plane`).
 """
 
 from dataclasses import dataclass, replace
@@ -29,31 +29,31 @@ class LocalHomographies(RowRecord):
 
     Attributes:
         centers: (N,) images p_0 of the markers' centres, px.
-        arms: (N,) similarity parts m, px.
-        squeezes: (N,) squeezes k, px.
-        horizons: (N,) projective parts h, 1/px.
+        similarities: (N,) similarity parts m, px.
+        anisotropies: (N,) anisotropies k, px.
+        perspectives: (N,) projective parts h, 1/px.
     """
 
     centers: ComplexArray
-    arms: ComplexArray
-    squeezes: ComplexArray
-    horizons: ComplexArray
+    similarities: ComplexArray
+    anisotropies: ComplexArray
+    perspectives: ComplexArray
 
     def __len__(self) -> int:
         return int(self.centers.size)
 
     @classmethod
     def of_corners(cls, corners_px: Array) -> "LocalHomographies":
-        """Return the affine maps nearest to image corners (N, 4, 2), by least squares; horizons are zero."""
+        """Return the affine maps nearest to image corners (N, 4, 2): least squares, no perspective."""
         squares = fit_squares(to_complex(corners_px))
-        horizons = np.zeros(len(corners_px), dtype=complex)
-        return cls(squares.centers, squares.similarities, squares.anisotropies, horizons)
+        perspectives = np.zeros(len(corners_px), dtype=complex)
+        return cls(squares.centers, squares.similarities, squares.anisotropies, perspectives)
 
     @classmethod
     def of_quads(cls, corners_px: Array) -> "LocalHomographies":
         """Return the homographies that take the square to image corners (N, 4, 2) exactly.
 
-        With `p = (J z) / (1 + g·z)` from the centre, g in marker coordinates, the horizon is `J⁻ᵀ g`.
+        With `p = (J z) / (1 + g·z)` from the centre, g in marker coordinates, the perspective is `J⁻ᵀ g`.
         """
         corners = to_complex(corners_px)
         first, second, third, fourth = corners.T
@@ -69,62 +69,66 @@ class LocalHomographies(RowRecord):
         weights = np.stack([1 + (-g_x - g_y) / 2, 1 + (g_x - g_y) / 2], axis=1)
         to_first, to_second = (first - centers) * weights[:, 0], (second - centers) * weights[:, 1]
         right_axis, down_axis = to_second - to_first, -(to_first + to_second)
-        arms, squeezes = (right_axis - 1j * down_axis) / 2, (right_axis + 1j * down_axis) / 2
-        affine = cls(centers, arms, squeezes, np.zeros(len(corners), dtype=complex))
+        similarities, anisotropies = (right_axis - 1j * down_axis) / 2, (right_axis + 1j * down_axis) / 2
+        affine = cls(centers, similarities, anisotropies, np.zeros(len(corners), dtype=complex))
         x, y = affine.axes()
-        return replace(affine, horizons=np.asarray(x * g_x + y * g_y))
+        return replace(affine, perspectives=np.asarray(x * g_x + y * g_y))
 
     def moved(
-        self, shift: ComplexArray, grow: ComplexArray, squeeze: ComplexArray, lean: ComplexArray
+        self, shift: ComplexArray, grow: ComplexArray, anisotropy: ComplexArray, keystone: ComplexArray
     ) -> "LocalHomographies":
         """Return the homographies after a small step of each marker in its own coordinates.
 
-        The step is `z ↦ shift + (1 + grow) z + squeeze z̄ - z Re(q̄ z)`, with (N,) complex `shift`, `grow`
-        (real part: scale, imaginary part: rotation), `squeeze` and `lean` q; the result is right to first
-        order in each of them.
+        The step is `z ↦ shift + (1 + grow) z + anisotropy z̄ - z Re(q̄ z)`, with (N,) complex `shift`, `grow`
+        (real part: scale, imaginary part: rotation), `anisotropy` and `keystone` q; the result is right to
+        first order in each of them.
         """
-        horizon = (lean * self.arms - lean.conj() * self.squeezes) / self._areas
+        perspective = (keystone * self.similarities - keystone.conj() * self.anisotropies) / self._areas
         return replace(
             self,
-            centers=self.centers + self.arms * shift + self.squeezes * shift.conj(),
-            arms=self.arms * (1 + grow) + self.squeezes * squeeze.conj(),
-            squeezes=self.squeezes * (1 + grow.conj()) + self.arms * squeeze,
-            horizons=self.horizons + horizon,
+            centers=self.centers + self.similarities * shift + self.anisotropies * shift.conj(),
+            similarities=self.similarities * (1 + grow) + self.anisotropies * anisotropy.conj(),
+            anisotropies=self.anisotropies * (1 + grow.conj()) + self.similarities * anisotropy,
+            perspectives=self.perspectives + perspective,
         )
 
-    def leans_to(self, horizons: ComplexArray) -> ComplexArray:
-        """Return the leans q (N,) of the steps of `moved` that take the markers to `horizons` (N,), 1/px.
+    def keystones_to(self, perspectives: ComplexArray) -> ComplexArray:
+        """Return the keystones q (N,) of the steps of `moved` to `perspectives` (N,), 1/px.
 
-        A change δ of the horizon is the lean `δ m̄ + δ̄ k`, exactly.
+        A change δ of the perspective is the keystone `δ m̄ + δ̄ k`, exactly.
         """
-        return replace(self, horizons=horizons - self.horizons).leans()
+        return replace(self, perspectives=perspectives - self.perspectives).keystones()
 
-    def leans(self) -> ComplexArray:
-        """Return the leans q (N,): the marker's image shrinks by Re(q̄ z) towards its point z."""
-        return np.asarray(self.horizons * self.arms.conj() + self.horizons.conj() * self.squeezes)
+    def keystones(self) -> ComplexArray:
+        """Return the keystones q (N,): the marker's image shrinks by Re(q̄ z) towards its point z."""
+        return np.asarray(
+            self.perspectives * self.similarities.conj() + self.perspectives.conj() * self.anisotropies
+        )
 
     def blurs(self, sigmas_px: float | Array) -> Array:
         """Return blurs (N,) of standard deviations `sigmas_px`, px, in marker sides.
 
-        Blur that is round in the image has different variances along different directions of a squeezed
+        Blur that is round in the image has different variances along different directions of an anisotropic
         marker; this is the root of their mean, `σ sqrt(|m|² + |k|²) / (|m|² - |k|²)`.
         """
-        mean_square = np.abs(self.arms) ** 2 + np.abs(self.squeezes) ** 2
+        mean_square = np.abs(self.similarities) ** 2 + np.abs(self.anisotropies) ** 2
         return np.asarray(sigmas_px * np.sqrt(mean_square) / np.abs(self._areas))
 
-    def anisotropies(self) -> ComplexArray:
+    def blur_anisotropies(self) -> ComplexArray:
         """Return by how much (N,) blur that is round in the image differs along a marker's directions.
 
         With e = k / m it is `a = e / (1 + |e|²)`: the blur's variances along x and y are those of `blurs`
         times `1 ∓ 2 Re a`, and its covariance is `-2 Im a` times as much.
         """
-        relative = self.squeezes / self.arms
+        relative = self.anisotropies / self.similarities
         return np.asarray(relative / (1 + np.abs(relative) ** 2))
 
     def images(self, z: ComplexArray) -> ComplexArray:
         """Return the image points (N, M), u + iv, of points z (M,) of each marker's plane."""
-        away = self.arms[:, None] * z + self.squeezes[:, None] * z.conj()
-        return np.asarray(self.centers[:, None] + away / (1 + (self.horizons.conj()[:, None] * away).real))
+        away = self.similarities[:, None] * z + self.anisotropies[:, None] * z.conj()
+        return np.asarray(
+            self.centers[:, None] + away / (1 + (self.perspectives.conj()[:, None] * away).real)
+        )
 
     def scaled(self, factor: float) -> "LocalHomographies":
         """Return the homographies into an image shrunk by means over `factor` x `factor` pixels.
@@ -135,9 +139,9 @@ class LocalHomographies(RowRecord):
         middle = (factor - 1) / 2 * (1 + 1j)
         return LocalHomographies(
             (self.centers - middle) / factor,
-            self.arms / factor,
-            self.squeezes / factor,
-            self.horizons * factor,
+            self.similarities / factor,
+            self.anisotropies / factor,
+            self.perspectives * factor,
         )
 
     def sides_px(self) -> Array:
@@ -151,16 +155,18 @@ class LocalHomographies(RowRecord):
     @cached_property
     def _areas(self) -> Array:
         """Return areas (N,) of the affine images, `|m|² - |k|²`, px²."""
-        m, k = self.arms, self.squeezes
+        m, k = self.similarities, self.anisotropies
         return np.asarray(m.real**2 + m.imag**2 - (k.real**2 + k.imag**2))
 
     def headings_rad(self) -> Array:
         """Return the (N,) directions in the image of the forward axis z = -i, from +u to +v."""
-        return np.angle(-1j * (self.arms - self.squeezes))
+        return np.angle(-1j * (self.similarities - self.anisotropies))
 
     def axes(self) -> tuple[ComplexArray, ComplexArray]:
         """Return the axes X and Y, each (N,), 1/px, that take image points back to marker coordinates.
 
         A point p, relative to the centre, is `z = (Re(X̄ p) + i Re(Ȳ p)) / (1 - Re(h̄ p))`.
         """
-        return (self.arms - self.squeezes) / self._areas, 1j * (self.arms + self.squeezes) / self._areas
+        return (self.similarities - self.anisotropies) / self._areas, 1j * (
+            self.similarities + self.anisotropies
+        ) / self._areas

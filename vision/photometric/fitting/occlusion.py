@@ -66,8 +66,8 @@ def fit_visible(
         dictionary: of the markers.
         fits: of N markers, at least one, to all their pixels.
         sigma_px: standard deviation of the blur of lens and pixel together: of all markers, or (N,) of each.
-        plane: of all the image's markers, from which blur in marker coordinates follows. The squeezes of the
-            covered markers are found from themselves, since what covers them may have affected the plane.
+        plane: of all the image's markers, from which blur in marker coordinates follows. The anisotropies of
+            the covered markers are found from themselves, since what covers them may have affected the plane.
         noise: standard deviation of a pixel, grey levels.
 
     Returns:
@@ -78,8 +78,8 @@ def fit_visible(
     blurs = fits.homographies.blurs(sigma_px)
     appearances = appearances_of(dictionary, fits.ids, blurs, plane, noise)
     appearances = replace(appearances, black_ratios=fits.blacks / fits.contrasts)
-    horizons = plane.horizons(fits.homographies.centers - middle)
-    rows, homographies = np.arange(fits.ids.size), replace(fits.homographies, horizons=horizons)
+    perspectives = plane.perspectives(fits.homographies.centers - middle)
+    rows, homographies = np.arange(fits.ids.size), replace(fits.homographies, perspectives=perspectives)
     values = np.zeros((rows.size, UNKNOWNS))
     values[:, BLACK], values[:, CONTRAST] = fits.blacks - MIDDLE_GREY, fits.contrasts
     samples = PixelSamples(rows.size)
@@ -100,7 +100,7 @@ def fit_visible(
         solution, plane = on_common_plane(solution, homographies, middle, everyone, plane, level=True)
         values = solution.values.copy()
         homographies, moved_px = stepped(solution, homographies)
-        homographies = replace(homographies, horizons=plane.horizons(homographies.centers - middle))
+        homographies = replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))
         last_limits = INLIER_SIGMAS * np.minimum(noise, solution.noise_stds()) + edge_misfits
         limits = np.maximum(LIMIT_FACTOR * limits, last_limits)
     means, peaks = samples.cell_residuals(rows, solution, n_cells)

@@ -12,20 +12,20 @@ from scipy.ndimage import gaussian_filter
 
 from skyherd.markers.dictionary import cells_per_side, marker_cells
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
-from skyherd.vision.photometric.fitting.blur_ellipses import STEEP_SQUEEZE
+from skyherd.vision.photometric.fitting.blur_ellipses import STEEP_ANISOTROPY
 from skyherd.vision.photometric.fitting.design_matrix import (
+    ANISOTROPY,
     BLACK,
     BLUR,
     CONTRAST,
     DOWN,
     GROUND,
     GROW,
-    LEAN,
+    KEYSTONE,
     LIGHT,
     MIDDLE_GREY,
     PIXEL_ROW,
     RIGHT,
-    SQUEEZE,
     TONE,
     TURN,
     UNKNOWNS,
@@ -66,13 +66,13 @@ def usual(count, **changed):
     return appearances(DICTIONARY, range(count), [SIGMA] * count, **changed)
 
 
-def homographies(centers, arms, squeezes=None, horizons=None):
+def homographies(centers, similarities, anisotropies=None, perspectives=None):
     none = np.zeros(len(centers), dtype=complex)
     return LocalHomographies(
         np.array(centers, dtype=complex),
-        np.array(arms, dtype=complex),
-        none if squeezes is None else np.array(squeezes, dtype=complex),
-        none if horizons is None else np.array(horizons, dtype=complex),
+        np.array(similarities, dtype=complex),
+        none if anisotropies is None else np.array(anisotropies, dtype=complex),
+        none if perspectives is None else np.array(perspectives, dtype=complex),
     )
 
 
@@ -89,27 +89,27 @@ def disc(rng, count, radius):
 
 
 def test_columns_have_the_references_order():
-    own = [BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND, *SQUEEZE, *LIGHT, *LEAN, *TONE]
+    own = [BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND, *ANISOTROPY, *LIGHT, *KEYSTONE, *TONE]
     assert own == list(range(len(NAMES)))
 
 
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("dictionary", DICTIONARIES)
 def test_columns_are_those_of_the_reference(dictionary, seed):
-    """Markers squeezed and leaning, across the border too; where blur is round in the image, those that are
-    drawn to first order. Under blurs of 0.03 to 0.75 cells, on cards of
+    """Markers anisotropic and with keystone, across the border too; where blur is round in the image, those
+    that are drawn to first order. Under blurs of 0.03 to 0.75 cells, on cards of
     many widths. Rounding a place of some cells to single precision moves it by `2^-22 cells` and so by that
     over σ in standard deviations. An edge that is out of reach is off by 3e-7 and in its slope and curvature
     by 1.5e-6 and 7e-6; some edges are, on two axes."""
     rng, n, count = np.random.default_rng(seed), cells_per_side(dictionary), 5
     image = noise_image(seed, (70, 90))
     blurs_cells = np.exp(rng.uniform(np.log(0.03), np.log(0.75), count))
-    arms = rng.uniform(4, 45, count) * np.exp(2j * np.pi * rng.uniform(size=count))
+    similarities = rng.uniform(4, 45, count) * np.exp(2j * np.pi * rng.uniform(size=count))
     where = homographies(
         rng.uniform(-10, 100, count) + 1j * rng.uniform(-10, 80, count),
-        arms,
-        arms * disc(rng, count, STEEP_SQUEEZE if seed % 2 else 0.4),
-        disc(rng, count, 0.45) / np.abs(arms),
+        similarities,
+        similarities * disc(rng, count, STEEP_ANISOTROPY if seed % 2 else 0.4),
+        disc(rng, count, 0.45) / np.abs(similarities),
     )
     looks = appearances(
         dictionary,
@@ -141,7 +141,7 @@ def test_columns_are_those_of_the_reference(dictionary, seed):
         np.testing.assert_array_equal(drawn.pixels[own], pixels)
         np.testing.assert_allclose(drawn.places[own], places, atol=1e-7)
         scales, allowed = np.ones(UNKNOWNS + 1), np.full(UNKNOWNS + 1, 1e-5)
-        slopes = [RIGHT, DOWN, TURN, GROW, *SQUEEZE, *LEAN]
+        slopes = [RIGHT, DOWN, TURN, GROW, *ANISOTROPY, *KEYSTONE]
         scales[slopes], scales[PIXEL_ROW] = 1 / looks.sigmas[row], 128
         allowed[slopes], allowed[BLUR] = 5e-6, 2e-5
         allowed += 2**-22 / blurs_cells[row]
@@ -229,7 +229,7 @@ def test_the_reference_is_a_marker_drawn_in_pixels_and_blurred(dictionary, marke
 
 @pytest.mark.parametrize("direction", [0.0, 0.5 * np.pi, -2.0])
 def test_blur_that_is_round_in_the_image_is_drawn_so(direction):
-    """Under a squeeze e its covariance in the marker, with a = e / (1 + |e|²), is that of a round blur of
+    """Under an anisotropy e its covariance in the marker, with a = e / (1 + |e|²), is that of a round blur of
     variance σ² (1 - 2 |a|) and of a line of variance 4 |a| σ² across half the direction of e, which is
     integrated. The drawing is off by an order 2 in e; if blur is drawn round in the marker, by an order 1.
     """
@@ -237,7 +237,7 @@ def test_blur_that_is_round_in_the_image_is_drawn_so(direction):
     sizes, off = np.array([0.04, 0.02, 0.01]), {True: [], False: []}
     for size in sizes:
         where = homographies([16.3 + 16.1j], [24.0], [24 * size * np.exp(1j * direction)])
-        sigma, a = where.blurs(0.72)[0], np.abs(where.anisotropies()[0])
+        sigma, a = where.blurs(0.72)[0], np.abs(where.blur_anisotropies()[0])
         line = 1j * np.exp(0.5j * direction) * 2 * np.sqrt(a) * sigma * nodes
         for round_in_image, errors in off.items():
             looks = appearances(DICTIONARY, [MARKER], [sigma], round_in_image=round_in_image)
@@ -336,7 +336,7 @@ def test_markers_without_pixels_have_columns_of_none(kind):
     assert all(np.isfinite(one).all() for one in sums)
 
 
-def test_what_lies_beyond_the_horizon_is_not_the_markers():
+def test_pixels_beyond_the_horizon_are_not_the_markers():
     """Image points there have places in the marker's plane too, behind the camera."""
     where = homographies([30 + 30j], [20.0], None, [0.2])
     pixels = read(noise_image(0, (60, 60)), where, usual(1)).pixels

@@ -37,7 +37,7 @@ def on_lattice(where, sigma_px, streak_px2):
     points = (np.arange(count) + 0.5) / FINE - 0.5
     away = points[None, :] + 1j * points[:, None] - where.centers[0]
     x_axis, y_axis = (axis[0] for axis in where.axes())
-    w = 1 / (1 - (where.horizons[0].conj() * away).real)
+    w = 1 / (1 - (where.perspectives[0].conj() * away).real)
     column, row = (np.floor(((axis.conj() * away).real * w + 0.5) * n) for axis in (x_axis, y_axis))
     inside = (column >= 0) & (column < n) & (row >= 0) & (row < n)
     white = np.ones((count, count))
@@ -51,10 +51,12 @@ def on_lattice(where, sigma_px, streak_px2):
     )
 
 
-def shape(squeeze, lean, turn):
-    arm = 22.0 * np.exp(1j * turn)
-    one = [np.array([number], dtype=complex) for number in (29.3 + 30.1j, arm, squeeze * arm)]
-    return LocalHomographies(*one, np.array([lean / 22.0 * np.exp(0.7j)]))
+def shape(anisotropy, keystone, turn):
+    similarity = 22.0 * np.exp(1j * turn)
+    one = [
+        np.array([number], dtype=complex) for number in (29.3 + 30.1j, similarity, anisotropy * similarity)
+    ]
+    return LocalHomographies(*one, np.array([keystone / 22.0 * np.exp(0.7j)]))
 
 
 @pytest.mark.parametrize(
@@ -67,8 +69,8 @@ def shape(squeeze, lean, turn):
     ],
 )
 def test_markers_under_elliptic_blur_are_those_of_a_fine_lattice(where, streak_px2):
-    """Streaks of 4 px and tilts of 60 and 70 degrees, leaning too, under a blur of 1 px. The lattice is right
-    to about 0.003, an edge's place to 1/24 px times its slope, the mean over an edge's points; Mehler's
+    """Streaks of 4 px and tilts of 60 and 70 degrees, with keystone too, under a blur of 1 px. The lattice is
+    right to about 0.003, an edge's place to 1/24 px times its slope, the mean over an edge's points; Mehler's
     series to 0.004 at the steepest. Blur taken as round, the negative control, is off by 0.05."""
     seen = drawn(where, 1.0, streak_px2)
     expected = on_lattice(where, 1.0, streak_px2)(seen.pixels)
@@ -80,8 +82,8 @@ def test_markers_under_elliptic_blur_are_those_of_a_fine_lattice(where, streak_p
 
 
 def test_derivatives_are_differences():
-    """By the streak, by the blur and by the place, of a marker that is squeezed and has a streak: to what the
-    series leaves out of derivatives, a tenth of the largest."""
+    """By the streak, by the blur and by the place, of a marker that is anisotropic and has a streak: to what
+    the series leaves out of derivatives, a tenth of the largest."""
     where, q = shape(0.2 * np.exp(1j), 0.0, 0.4), 0.3 * np.exp(0.5j)
     seen, step = drawn(where, 1.0, q), 1e-2
     by_streak = seen.bends @ second_derivative_maps(where)[0]
@@ -92,7 +94,7 @@ def test_derivatives_are_differences():
     up, down = (drawn(where, np.exp(sign * step), q).columns[:, CONTRAST] for sign in (1, -1))
     numbers = (up.astype(float) - down) / (2 * step)
     assert np.abs(seen.columns[:, BLUR] - numbers).max() < 0.1 * np.abs(numbers).max()
-    along = where.arms + where.squeezes
+    along = where.similarities + where.anisotropies
     moved = [LocalHomographies(where.centers + s * step * along, *_rest(where)) for s in (1, -1)]
     up, down = (on_pixels(drawn(one, 1.0, q), seen.pixels) for one in moved)
     known = np.isfinite(up) & np.isfinite(down)
@@ -101,7 +103,7 @@ def test_derivatives_are_differences():
 
 
 def _rest(where):
-    return where.arms, where.squeezes, where.horizons
+    return where.similarities, where.anisotropies, where.perspectives
 
 
 def on_pixels(seen, pixels):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from skyherd.vision.photometric.fitting.design_matrix import (
+    ANISOTROPY,
     BLACK,
     CONTRAST,
     GROUND,
     LIGHT,
     PIXEL_ROW,
-    SQUEEZE,
     UNKNOWNS,
 )
 from skyherd.vision.photometric.fitting.least_squares import (
@@ -27,7 +27,7 @@ def grown(solution, held, at):
     return solution.constrained(held, at).residual_squares - solution.residual_squares
 
 
-HELD = [LIGHT, SQUEEZE, [GROUND], [*SQUEEZE, *LIGHT]]
+HELD = [LIGHT, ANISOTROPY, [GROUND], [*ANISOTROPY, *LIGHT]]
 
 
 @pytest.fixture(scope="module")
@@ -103,8 +103,8 @@ def test_holding_is_solving_without_those_columns(problem, held):
 def test_holding_twice_is_holding_both(problem):
     _, _, grams = problem
     at = np.random.default_rng(2).normal(size=(MARKERS, 4))
-    one = solve(grams).constrained(SQUEEZE, at[:, :2]).constrained(LIGHT, at[:, 2:])
-    both = solve(grams).constrained([*SQUEEZE, *LIGHT], at)
+    one = solve(grams).constrained(ANISOTROPY, at[:, :2]).constrained(LIGHT, at[:, 2:])
+    both = solve(grams).constrained([*ANISOTROPY, *LIGHT], at)
     np.testing.assert_allclose(one.values, both.values, atol=1e-10)
     np.testing.assert_allclose(one.residual_squares, both.residual_squares, rtol=1e-10)
     assert one.free == both.free == UNKNOWNS - 4
@@ -140,12 +140,12 @@ def test_too_few_pixels_leave_no_negative_squares(rows):
     rng = np.random.default_rng([5, rows])
     both = rng.normal(0, 100, (200, UNKNOWNS + 1, rows)).astype(np.float32)
     both[:, BLACK] = 1.0
-    both[:, CONTRAST] = both[:, SQUEEZE[0]]
+    both[:, CONTRAST] = both[:, ANISOTROPY[0]]
     solution = solve((both @ both.transpose(0, 2, 1)).astype(float), rows)
-    held = solution.constrained(LIGHT, np.zeros((200, 2))).constrained(SQUEEZE, rng.normal(size=(200, 2)))
+    held = solution.constrained(LIGHT, np.zeros((200, 2))).constrained(ANISOTROPY, rng.normal(size=(200, 2)))
     for some in (solution, held):
         assert (some.residual_squares > 0).all() and np.isfinite(some.noise_stds()).all()
-    assert (grown(solution, [*LIGHT, *SQUEEZE], np.ones((200, 4))) >= 0).all()
+    assert (grown(solution, [*LIGHT, *ANISOTROPY], np.ones((200, 4))) >= 0).all()
 
 
 def test_a_marker_without_contrast_or_ground_is_still_solved():

@@ -11,16 +11,16 @@ COUNT = 40
 POINTS = np.concatenate([SQUARE_CORNERS, [0j, 0.3 - 0.1j, 1.4 + 0.8j]])
 
 
-def random_shapes(seed=0, *, horizon=1e-3, squeeze=0.25):
-    """Markers of 10-60 px a side, squeezed and tilted at random."""
+def random_shapes(seed=0, *, horizon=1e-3, anisotropy=0.25):
+    """Markers of 10-60 px a side, anisotropic and tilted at random."""
     rng = np.random.default_rng(seed)
     turn, way, toward = np.exp(2j * np.pi * rng.uniform(size=(3, COUNT)))
-    arms = rng.uniform(10, 60, COUNT) * turn
+    similarities = rng.uniform(10, 60, COUNT) * turn
     return LocalHomographies(
         centers=rng.uniform(-400, 400, COUNT) + 1j * rng.uniform(-400, 400, COUNT),
-        arms=arms,
-        squeezes=squeeze * rng.uniform(size=COUNT) * np.abs(arms) * way,
-        horizons=horizon * rng.uniform(size=COUNT) * toward,
+        similarities=similarities,
+        anisotropies=anisotropy * rng.uniform(size=COUNT) * np.abs(similarities) * way,
+        perspectives=horizon * rng.uniform(size=COUNT) * toward,
     )
 
 
@@ -29,7 +29,7 @@ def test_axes_lead_back_from_images():
     homographies = random_shapes()
     away = homographies.images(POINTS) - homographies.centers[:, None]
     x, y, nearness = (
-        (axis.conj()[:, None] * away).real for axis in (*homographies.axes(), homographies.horizons)
+        (axis.conj()[:, None] * away).real for axis in (*homographies.axes(), homographies.perspectives)
     )
     np.testing.assert_allclose((x + 1j * y) / (1 - nearness), np.tile(POINTS, (COUNT, 1)), atol=1e-12, rtol=0)
 
@@ -37,7 +37,7 @@ def test_axes_lead_back_from_images():
 def test_an_affine_shape_is_that_of_its_corners():
     homographies = random_shapes(1, horizon=0.0)
     again = LocalHomographies.of_corners(to_points(homographies.images(SQUARE_CORNERS)))
-    for name in ("centers", "arms", "squeezes", "horizons"):
+    for name in ("centers", "similarities", "anisotropies", "perspectives"):
         np.testing.assert_allclose(getattr(again, name), getattr(homographies, name), atol=1e-10, rtol=0)
 
 
@@ -51,7 +51,7 @@ def test_squares_have_their_own_headings_and_sides():
     homographies = LocalHomographies.of_corners(corners_of_pose(centers, headings, sides))
     np.testing.assert_allclose(homographies.headings_rad(), headings, atol=1e-12)
     np.testing.assert_allclose(homographies.sides_px(), sides, rtol=1e-12)
-    np.testing.assert_allclose(homographies.squeezes, 0, atol=1e-11)
+    np.testing.assert_allclose(homographies.anisotropies, 0, atol=1e-11)
 
 
 def test_heading_and_side_match_the_jacobian_at_the_centre():
@@ -74,9 +74,9 @@ def steps(seed, size):
 STILL = np.zeros(COUNT, dtype=complex)
 
 
-def after(homographies, shift, grow, squeeze):
+def after(homographies, shift, grow, anisotropy):
     """Images of `POINTS` taken through the step in marker coordinates first: the composition itself."""
-    stepped = shift[:, None] + (1 + grow)[:, None] * POINTS + squeeze[:, None] * POINTS.conj()
+    stepped = shift[:, None] + (1 + grow)[:, None] * POINTS + anisotropy[:, None] * POINTS.conj()
     return np.array([homographies.take(np.array([row])).images(z)[0] for row, z in enumerate(stepped)])
 
 
@@ -88,20 +88,20 @@ def test_affine_shapes_move_exactly():
     )
 
 
-def test_growth_and_squeeze_are_exact_under_a_horizon_too():
-    homographies, (_, grow, squeeze) = random_shapes(5), steps(5, 0.1)
-    moved = homographies.moved(STILL, grow, squeeze, STILL)
-    np.testing.assert_allclose(moved.images(POINTS), after(homographies, STILL, grow, squeeze), atol=1e-9)
+def test_growth_and_anisotropy_are_exact_with_perspective():
+    homographies, (_, grow, anisotropy) = random_shapes(5), steps(5, 0.1)
+    moved = homographies.moved(STILL, grow, anisotropy, STILL)
+    np.testing.assert_allclose(moved.images(POINTS), after(homographies, STILL, grow, anisotropy), atol=1e-9)
 
 
-def test_a_lean_is_a_change_of_the_horizon_exactly():
-    """A point z of the leaning marker lies where `z / (1 + Re(q̄ z))` lay, and the way back is `leans_to`."""
-    homographies, (lean, *_) = random_shapes(8), steps(8, 0.05)
-    moved = homographies.moved(STILL, STILL, STILL, lean)
-    nearer = POINTS / (1 + (lean.conj()[:, None] * POINTS).real)
+def test_a_keystone_changes_the_perspective_exactly():
+    """A point z of the changed marker lies where `z / (1 + Re(q̄ z))` lay; `keystones_to` goes back."""
+    homographies, (keystone, *_) = random_shapes(8), steps(8, 0.05)
+    moved = homographies.moved(STILL, STILL, STILL, keystone)
+    nearer = POINTS / (1 + (keystone.conj()[:, None] * POINTS).real)
     before = [homographies.take(np.array([row])).images(z)[0] for row, z in enumerate(nearer)]
     np.testing.assert_allclose(moved.images(POINTS), before, atol=1e-9)
-    np.testing.assert_allclose(homographies.leans_to(moved.horizons), lean, atol=1e-12)
+    np.testing.assert_allclose(homographies.keystones_to(moved.perspectives), keystone, atol=1e-12)
 
 
 def test_marker_blur_is_image_blur_under_the_inverse_map():
@@ -110,7 +110,7 @@ def test_marker_blur_is_image_blur_under_the_inverse_map():
     across, down = homographies.axes()
     inverse = np.stack([[across.real, across.imag], [down.real, down.imag]]).transpose(2, 0, 1)
     covariances = sigma_px**2 * inverse @ inverse.transpose(0, 2, 1)
-    squares, uneven = homographies.blurs(sigma_px) ** 2, homographies.anisotropies()
+    squares, uneven = homographies.blurs(sigma_px) ** 2, homographies.blur_anisotropies()
     np.testing.assert_allclose(covariances[:, 0, 0], squares * (1 - 2 * uneven.real))
     np.testing.assert_allclose(covariances[:, 1, 1], squares * (1 + 2 * uneven.real))
     np.testing.assert_allclose(covariances[:, 0, 1], -2 * squares * uneven.imag, atol=1e-12)
@@ -136,7 +136,7 @@ def test_shrunk_shapes_match_shrunk_pixels_and_invert(factor):
     middle = (factor - 1) / 2 * (1 + 1j)
     np.testing.assert_allclose(small.images(POINTS) * factor + middle, homographies.images(POINTS), atol=1e-9)
     back = small.scaled(1 / factor)
-    for name in ("centers", "arms", "squeezes", "horizons"):
+    for name in ("centers", "similarities", "anisotropies", "perspectives"):
         np.testing.assert_allclose(getattr(back, name), getattr(homographies, name), rtol=1e-12, atol=1e-12)
 
 
@@ -146,5 +146,5 @@ def test_replacing_some_leaves_the_others():
     mixed = homographies.put(rows, others.take(rows))
     kept = np.setdiff1d(np.arange(COUNT), rows)
     np.testing.assert_array_equal(mixed.centers[rows], others.centers[rows])
-    np.testing.assert_array_equal(mixed.horizons[kept], homographies.horizons[kept])
+    np.testing.assert_array_equal(mixed.perspectives[kept], homographies.perspectives[kept])
     assert len(mixed) == COUNT and len(homographies.take(rows).joined(others)) == COUNT + 3

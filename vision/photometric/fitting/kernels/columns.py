@@ -10,26 +10,26 @@ from numba import njit
 
 from skyherd.jobs.compilation import INLINE
 from skyherd.vision.photometric.fitting.design_matrix import (
+    ANISOTROPY,
     BLACK,
     BLUR,
     CONTRAST,
     DOWN,
     GROUND,
     GROW,
-    LEAN,
+    KEYSTONE,
     LIGHT,
     MIDDLE_GREY,
     PIXEL_ROW,
     RIGHT,
-    SQUEEZE,
     TONE,
     TURN,
 )
 
 _ONE, _GREY = np.float32(1), np.float32(MIDDLE_GREY)
-_SQUEEZE_X, _SQUEEZE_Y = SQUEEZE
+_ANISOTROPY_X, _ANISOTROPY_Y = ANISOTROPY
 _LIGHT_X, _LIGHT_Y = LIGHT
-_LEAN_X, _LEAN_Y = LEAN
+_KEYSTONE_X, _KEYSTONE_Y = KEYSTONE
 _TONE = TONE[0]
 
 
@@ -75,11 +75,11 @@ def write_columns(
     columns[row, GROW] = grow
     columns[row, BLUR] = log_blur * weight
     columns[row, GROUND] = ground * weight
-    columns[row, _SQUEEZE_X] = y * slope_y - x * slope_x
-    columns[row, _SQUEEZE_Y] = -(y * slope_x + x * slope_y)
+    columns[row, _ANISOTROPY_X] = y * slope_y - x * slope_x
+    columns[row, _ANISOTROPY_Y] = -(y * slope_x + x * slope_y)
     columns[row, _LIGHT_X] = x * light
     columns[row, _LIGHT_Y] = y * light
-    columns[row, _LEAN_X] = -grow * x
-    columns[row, _LEAN_Y] = -grow * y
+    columns[row, _KEYSTONE_X] = -grow * x
+    columns[row, _KEYSTONE_Y] = -grow * y
     columns[row, _TONE] = contrast * (_ONE - white)
     columns[row, PIXEL_ROW] = (np.float32(grey) - _GREY) * weight

@@ -1,7 +1,7 @@
 """Compiled loop that draws markers under blur that differs much along their directions.
 
-`round_blur` draws round blur, and what a marker's squeeze adds to it to first order. That is not enough for
-a marker at a steep tilt, nor for the streak of a camera that moved. Here the blur is any Gaussian, of
+`round_blur` draws round blur, and what a marker's anisotropy adds to it to first order. That is not enough
+for a marker at a steep tilt, nor for the streak of a camera that moved. Here the blur is any Gaussian, of
 variances σ_x² and σ_y² along the marker's axes and correlation ρ. Along the axes it separates; the
 correlation follows by Mehler's series,
 
@@ -126,12 +126,12 @@ def _growths(variances: tuple[Any, Any, Any], marker: Any) -> tuple[Any, Any, An
 
     Args:
         variances: σ_xx, σ_yy and σ_xy of Σ, the blur at the marker's centre.
-        marker: its record, with its lean q.
+        marker: its record, with its keystone q.
     """
     xx, yy, xy = variances
-    lean_x, lean_y = np.float32(marker.lean.real), np.float32(marker.lean.imag)
-    x, y = xx * lean_x + xy * lean_y, xy * lean_x + yy * lean_y
-    return x, y, lean_x * x + lean_y * y
+    keystone_x, keystone_y = np.float32(marker.keystone.real), np.float32(marker.keystone.imag)
+    x, y = xx * keystone_x + xy * keystone_y, xy * keystone_x + yy * keystone_y
+    return x, y, keystone_x * x + keystone_y * y
 
 
 @njit(**INLINE)
@@ -179,7 +179,7 @@ def fill(
 
     Args:
         image: (height, width) grey levels.
-        markers: (N,) of `MARKER`, of which `sigma`, `squeeze` and the stretches are not used.
+        markers: (N,) of `MARKER`, of which `sigma`, `anisotropy` and the stretches are not used.
         blurs: (N, 6) of `blur_ellipses.blur_tables`: variances along x and y and covariance of the blur, in
             sides squared, and by how much each of them changes with the logarithm of the blur.
         cells: as there.
@@ -204,7 +204,7 @@ def fill(
         growths = _growths(variances, marker)
         for row in range(np.uintp(bounds[number]), np.uintp(bounds[number + _NEXT])):
             x, y, v, u = places[row, 0], places[row, 1], pixels[row, 0], pixels[row, 1]
-            far = growth(marker.horizon, u - center.real, v - center.imag)
+            far = growth(marker.perspective, u - center.real, v - center.imag)
             w_square = np.float32(far * far)
             sigma_x, sigma_y, covariance = _ellipse(x, y, w_square, variances, growths)
             x_rate, y_rate = _ONE / sigma_x, _ONE / sigma_y

@@ -10,9 +10,9 @@ MARKER = np.dtype(
         ("center", complex),
         ("x_axis", complex),
         ("y_axis", complex),
-        ("horizon", complex),
-        ("lean", complex),
-        ("squeeze", complex),
+        ("perspective", complex),
+        ("keystone", complex),
+        ("anisotropy", complex),
         ("limit", float),
         ("strip", float),
         ("height_px", float),
@@ -25,10 +25,10 @@ MARKER = np.dtype(
 )
 """Record of a marker for the kernels; lengths are in marker sides unless a unit is given.
 
-- `center`, px, and the axes X and Y and the `horizon`, 1/px, of `LocalHomographies.axes`;
-- `lean`, by how much the marker's image shrinks towards its points, and `squeeze`, by how much round blur
-  differs along its directions (`LocalHomographies.anisotropies`); both are 0 where blur is drawn as if the
-  marker were seen from straight above;
+- `center`, px, and the axes X and Y and the `perspective`, 1/px, of `LocalHomographies.axes`;
+- `keystone`, by how much the marker's image shrinks towards its points, and `anisotropy`, by how much round
+  blur differs along its directions (`LocalHomographies.blur_anisotropies`); both are 0 where blur is drawn as
+  if the marker were seen from straight above;
 - `limit`, up to which marker coordinates pixels are read; `strip`, the same for the affine part of the
   homography, wide enough for what a horizon adds; `height_px`, half the height of the strips' common part;
 - `sigma`, the blur's standard deviation, and its standard deviations along x and y over `sigma`;

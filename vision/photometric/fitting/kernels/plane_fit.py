@@ -1,4 +1,4 @@
-"""The least-squares fit of a plane to squeezes, and the choice of the simplest one (`fitting.plane`)."""
+"""The least-squares fit of a plane to anisotropies, and the choice of the simplest one (`fitting.plane`)."""
 
 from typing import Any
 
@@ -12,13 +12,13 @@ _POINTS, _VARIANCES = readonly(complex128, 1), readonly(float64, 1)
 
 
 @njit(**PARTS)
-def _chi_squared(a: Any, h: Any, points: Any, squeezes: Any, variances: Any) -> Any:
-    """Return sum of the squared distances of squeezes from those of a plane α, λ, over their variances."""
+def _chi_squared(a: Any, h: Any, points: Any, anisotropies: Any, variances: Any) -> Any:
+    """Return the sum of the squared residuals of anisotropies from a plane α, λ, over their variances."""
     total = 0.0
     for row in range(points.size):
         p = points[row]
         top = a * (1 - p * h.conjugate() / 2) - p * h / 2
-        off = squeezes[row] - top / (1 - p.conjugate() * h / 2 - p.conjugate() * h.conjugate() * a / 2)
+        off = anisotropies[row] - top / (1 - p.conjugate() * h / 2 - p.conjugate() * h.conjugate() * a / 2)
         total += (off.real**2 + off.imag**2) / variances[row]
     return total
 
@@ -46,7 +46,7 @@ def _copy(matrix: Any, into: Any) -> None:
 
 @njit(**PARTS)
 def _solve(
-    points: Any, squeezes: Any, variances: Any, tilted: Any, covariance: Any, limits: Any, max_rounds: Any
+    points: Any, anisotropies: Any, variances: Any, tilted: Any, covariance: Any, limits: Any, max_rounds: Any
 ) -> Any:
     """Return the plane α, λ, with λ free if `tilted`; zero where the iteration diverges."""
     aa, ah, hh = _normal_matrix(points, variances, limits[3])
@@ -64,7 +64,7 @@ def _solve(
     for _ in range(max_rounds):
         right_a, right_h = 0j, 0j
         for row in range(points.size):
-            p, e = points[row], squeezes[row]
+            p, e = points[row], anisotropies[row]
             second = (a * p * h.conjugate() - e * p.conjugate() * (h + h.conjugate() * a)) / 2
             weighted = (e + second) / variances[row]
             right_a += weighted
@@ -88,15 +88,15 @@ def _solve(
     **FLAGS,
 )
 def fit_plane_to_all(
-    points: Any, squeezes: Any, variances: Any, limits: Any, max_rounds: Any, covariance: Any
+    points: Any, anisotropies: Any, variances: Any, limits: Any, max_rounds: Any, covariance: Any
 ) -> Any:
-    """Return α, λ and whether they explain the squeezes, of the simplest plane; see the function in `plane`.
+    """Return α, λ of the simplest plane and whether it explains the anisotropies; see `plane`.
 
     Args:
         points: (N,) centres of the markers, px from the image's centre.
-        squeezes: (N,) in image axes.
-        variances: (N,) of each of the squeezes' components, of which one at least is finite.
-        limits: (4,) `SIGNIFICANT`, `EXCESS`, `CONVERGED` and `HORIZON_RIDGE` of `plane`.
+        anisotropies: (N,) in image axes.
+        variances: (N,) of each of the anisotropies' components, of which one at least is finite.
+        limits: (4,) `SIGNIFICANT`, `EXCESS`, `CONVERGED` and `PERSPECTIVE_RIDGE` of `plane`.
         max_rounds: most rounds of the iteration.
         covariance: (2, 2) result: of α and λ.
     """
@@ -104,12 +104,12 @@ def fit_plane_to_all(
     freedom = 2 * points.size
     best_a, best_h = 0j, 0j
     covariance[:] = 0
-    least = _chi_squared(best_a, best_h, points, squeezes, variances)
+    least = _chi_squared(best_a, best_h, points, anisotropies, variances)
     per_freedom = least / freedom
     aa, ah, hh = _normal_matrix(points, variances, limits[3])
     a, h = 0j, 0j
     for row in range(points.size):
-        weighted = squeezes[row] / variances[row]
+        weighted = anisotropies[row] / variances[row]
         a += weighted
         h -= weighted * points[row].conjugate() / 2
     cross = 2 * (a.conjugate() * ah * h).real
@@ -120,8 +120,8 @@ def fit_plane_to_all(
     for unknowns in (2, 4):
         if freedom <= unknowns:
             break
-        a, h = _solve(points, squeezes, variances, unknowns == 4, own, limits, max_rounds)
-        chi_squared = _chi_squared(a, h, points, squeezes, variances)
+        a, h = _solve(points, anisotropies, variances, unknowns == 4, own, limits, max_rounds)
+        chi_squared = _chi_squared(a, h, points, anisotropies, variances)
         scatter = max(chi_squared / (freedom - unknowns), 1.0)
         if least - chi_squared > significant * scatter:
             best_a, best_h, least, per_freedom = a, h, chi_squared, scatter

@@ -1,7 +1,7 @@
 """The model's columns at the pixels of markers under blur that is round, or nearly so, in the marker.
 
 The marker T and its derivatives are those of `blurred_edges`. For blur that is round in the image only, the
-marker's squeeze and lean add terms to them, which are taken to first order (`design_matrix`).
+marker's anisotropy and keystone add terms to them, which are taken to first order (`design_matrix`).
 """
 
 from typing import Any
@@ -90,22 +90,24 @@ def _blurred(
 
 
 @njit(**INLINE)
-def _white(blurred: tuple[Any, ...], x: Any, y: Any, lean: tuple[Any, Any], squeeze: tuple[Any, Any]) -> Any:
+def _white(
+    blurred: tuple[Any, ...], x: Any, y: Any, keystone: tuple[Any, Any], anisotropy: tuple[Any, Any]
+) -> Any:
     """T at a pixel, and T_log σ = σ² (T_xx + T_yy), of blur that is round in the image only.
 
     Args:
         blurred: of `_blurred`.
         x: marker coordinate of the pixel.
         y: the same, down.
-        lean: its two components, of `MARKER`.
-        squeeze: the same.
+        keystone: its two components, of `MARKER`.
+        anisotropy: the same.
     """
     f, _, _, f_xx, f_xy, f_yy = blurred
     log_blur = -(f_xx + f_yy)
-    along = lean[0] * x + lean[1] * y
+    along = keystone[0] * x + keystone[1] * y
     white = _ONE - f
-    white += (f_xx - f_yy) * (squeeze[0] - _HALF * (lean[0] * x - lean[1] * y))
-    white += _TWO * f_xy * (squeeze[1] - _HALF * (lean[1] * x + lean[0] * y))
+    white += (f_xx - f_yy) * (anisotropy[0] - _HALF * (keystone[0] * x - keystone[1] * y))
+    white += _TWO * f_xy * (anisotropy[1] - _HALF * (keystone[1] * x + keystone[0] * y))
     white += (_ONE + _HALF) * along * log_blur
     return white, log_blur
 
@@ -151,14 +153,14 @@ def fill(
         x_rate = np.float32(1 / (sigma * marker.x_stretch))
         y_rate = np.float32(1 / (sigma * marker.y_stretch))
         ratio = np.float32(marker.black_ratio)
-        lean = np.float32(marker.lean.real), np.float32(marker.lean.imag)
-        squeeze = np.float32(marker.squeeze.real), np.float32(marker.squeeze.imag)
+        keystone = np.float32(marker.keystone.real), np.float32(marker.keystone.imag)
+        anisotropy = np.float32(marker.anisotropy.real), np.float32(marker.anisotropy.imag)
         for row in range(np.uintp(bounds[number]), np.uintp(bounds[number + _NEXT])):
             x, y = places[row, 0], places[row, 1]
             across = _pass_edges(x * cells_per_side + half_side, reach, per_cell, x_edges)
             down = _pass_edges(y * cells_per_side + half_side, reach, per_cell, y_edges)
             blurred = _blurred(cells, number, across, down, x_edges, y_edges)
-            white, log_blur = _white(blurred, x, y, lean, squeeze)
+            white, log_blur = _white(blurred, x, y, keystone, anisotropy)
             ground, weight = ground_and_weight(x, y, half_card, x_rate, y_rate, texture_square)
             slope_x, slope_y = -blurred[1] * per_side * weight, -blurred[2] * per_side * weight
             grey = image[np.uintp(pixels[row, 0]), np.uintp(pixels[row, 1])]

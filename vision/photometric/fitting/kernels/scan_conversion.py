@@ -41,8 +41,8 @@ def _lines(marker: Any, height: int) -> Any:
 
     There are none if the marker's geometry has numbers that are not finite, as a fit that ran away may.
     """
-    total = abs(marker.center) + abs(marker.x_axis) + abs(marker.y_axis) + abs(marker.horizon)
-    total += abs(marker.lean) + abs(marker.squeeze) + marker.strip + marker.height_px + marker.sigma
+    total = abs(marker.center) + abs(marker.x_axis) + abs(marker.y_axis) + abs(marker.perspective)
+    total += abs(marker.keystone) + abs(marker.anisotropy) + marker.strip + marker.height_px + marker.sigma
     if not total < np.inf:
         return 0, -1
     middle = marker.center.imag
@@ -102,7 +102,7 @@ def list_pixels(markers: Any, height: int, width: int, bounds: Any, places: Any,
     bounds[0] = 0
     for number in range(np.uintp(markers.size)):
         marker = markers[number]
-        center, x_axis, y_axis, horizon = marker.center, marker.x_axis, marker.y_axis, marker.horizon
+        center, x_axis, y_axis, horizon = marker.center, marker.x_axis, marker.y_axis, marker.perspective
         first_line, last_line = _lines(marker, height)
         for v in range(first_line, last_line + 1):
             below = v - center.imag

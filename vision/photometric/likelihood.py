@@ -29,7 +29,9 @@ from skyherd.vision.photometric.readings import (
     PARTS,
     Readings,
     black_cells,
+    cell_edges,
     draw_codes,
+    exposed,
     nearest_codes,
     on_marker,
     part_places,
@@ -102,6 +104,21 @@ class MarkerOdds(RowRecord):
     outlier_shares: Array
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """A pattern of each of N candidates.
+
+    Attributes:
+        white: (N, parts) whiteness, 0 to 1, before the image clips.
+        blurs: (N,) numbers of its blurs in `BLURS_CELLS`.
+        clips: (N,) whether the image clips.
+    """
+
+    white: Array
+    blurs: IntArray
+    clips: BoolArray
+
+
 def most_log_odds(dictionary: str) -> float:
     """Return the log odds of an image that shows every bit beyond doubt; no image has more.
 
@@ -148,8 +165,8 @@ def log_likelihoods(image: Image, corners_px: Array, ids: IntArray, dictionary: 
     if not len(corners_px):
         return np.zeros(0)
     readings = Readings.read(image, corners_px, cells_per_side(dictionary))
-    _, drawn = draw_codes(readings, 4 * ids[:, None], dictionary)
-    return np.asarray(fit_cards(readings, drawn).logs[:, 0])
+    _, clips, drawn = draw_codes(readings, 4 * ids[:, None], dictionary)
+    return np.asarray(fit_cards(readings, exposed(drawn, clips[..., None])).logs[:, 0])
 
 
 def _odds_of_codes(
@@ -160,10 +177,12 @@ def _odds_of_codes(
     At first, wide cards alone are fitted and compared with bits by chance alone; the log odds are then -inf.
     """
     rows, tried = np.arange(len(codes)), math.log(4 * dictionary_size(dictionary))
-    blurs, drawn = draw_codes(readings, codes, dictionary)
-    fits = fit_patterns(readings, drawn) if first else fit_cards(readings, drawn)
+    blurs, clipped, drawn = draw_codes(readings, codes, dictionary)
+    fits = (fit_patterns if first else fit_cards)(readings, exposed(drawn, clipped[..., None]))
     best = np.argmax(fits.logs, axis=1)
-    code, blur, pattern, std = (values[rows, best] for values in (codes, blurs, drawn, fits.stds))
+    code, blur, clips, pattern, std = (
+        values[rows, best] for values in (codes, blurs, clipped, drawn, fits.stds)
+    )
     seen = np.isfinite(fits.logs[rows, best])
     logs = np.where(seen, fits.logs[rows, best], 0.0)
     against = np.full((len(codes), 4), np.inf)
@@ -171,16 +190,19 @@ def _odds_of_codes(
     others[rows, best] = -np.inf
     against[:, 0] = logs - np.logaddexp.reduce(others, axis=1)
     white, contrasts = whiteness(readings, fits, best)
-    bits = _log_bits(readings, white - pattern, contrasts, pattern, blur, std, dictionary)
+    shares = contrasts / readings.scales[:, None]
+    bits = _log_bits(readings, white, shares, Drawn(pattern, blur, clips), std, dictionary)
     against[:, 1] = _resolved_shares()[blur] * bits - tried - math.log(BITS_ODDS)
     log_odds = np.full(len(codes), -np.inf)
     if not first:
         hopeful = seen & (against.min(axis=1) > HOPELESS)
-        for number in np.unique(blur[hopeful]):
-            few = np.flatnonzero(hopeful & (blur == number))
+        for number, clip in np.unique(np.column_stack([blur, clips])[hopeful], axis=0):
+            few = np.flatnonzero(hopeful & (blur == number) & (clips == clip))
             these, spread = readings.take(few), BLURS_CELLS[number]
-            against[few, 2] = logs[few] - tried - _log_rectangles(these, spread)
-            against[few, 3] = logs[few] - tried - _log_grids(these, white[few], spread, dictionary)
+            rectangles = _log_rectangles(these, spread, clips=bool(clip))
+            grids = _log_grids(these, white[few], spread, dictionary, clips=bool(clip))
+            against[few, 2] = logs[few] - tried - rectangles
+            against[few, 3] = logs[few] - tried - grids
         log_odds = np.where(seen, -np.logaddexp.reduce(-against, axis=1), -np.inf)
         log_odds[_contradictions(readings, black_cells(dictionary)[code] < 0.5) > MAX_CONTRADICTION] = -np.inf
     against[~seen] = -np.inf
@@ -205,17 +227,18 @@ def _contradictions(readings: Readings, white: BoolArray) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _cell_responses(n_cells: int) -> Array:
-    """Return how much (blurs, parts) the colour of a part's own cell changes it."""
-    rows = np.arange(PARTS * (n_cells + 2))
-    own = [
-        [
-            gather(part_places(n_cells), np.arange(-1.0, n_cells + 2), value)[rows, rows // PARTS]
-            for value in blur
-        ]
-        for blur in BLURS_CELLS
-    ]
-    return np.stack([(down[:, None] * along).ravel() for along, down in own])
+def _cell_responses(n_cells: int, *, clips: bool) -> Array:
+    """Return how much (blurs, parts) the colour of a part's own cell changes it before the image clips."""
+    rows, places = np.arange(PARTS * (n_cells + 2)), part_places(n_cells)
+    own = []
+    for blur in BLURS_CELLS:
+        axes = []
+        for value in blur:
+            edges = cell_edges(n_cells, n_cells, value, clips=clips)
+            ends = [2 * edges[0] - edges[1]], [2 * edges[-1] - edges[-2]]
+            axes.append(gather(places, np.concatenate([ends[0], edges, ends[1]]), value)[rows, rows // PARTS])
+        own.append((axes[1][:, None] * axes[0]).ravel())
+    return np.stack(own)
 
 
 @lru_cache(maxsize=1)
@@ -225,36 +248,30 @@ def _resolved_shares() -> Array:
 
 
 def _log_bits(
-    readings: Readings,
-    errors: Array,
-    contrasts: Array,
-    patterns: Array,
-    blur: IntArray,
-    stds: Array,
-    dictionary: str,
+    readings: Readings, white: Array, shares: Array, drawn: Drawn, stds: Array, dictionary: str
 ) -> Array:
     """Return the log likelihood ratio (N,) of the patterns' bits to bits by chance.
 
     Args:
         readings: of N candidates.
-        errors: (N, parts) of the whiteness.
-        contrasts: (N, parts) grey levels.
-        patterns: (N, parts) whiteness.
-        blur: (N,) numbers of the blurs.
+        white: (N, parts) whiteness that is read.
+        shares: (N, parts) contrasts, share of the readings' range.
+        drawn: the patterns.
         stds: (N,) noise, share of the readings' range.
         dictionary: of the markers.
     """
     n, border = readings.n_cells, border_cells(dictionary)
-    flip = _cell_responses(n)[blur] * np.where(patterns > 0.5, -1, 1)
+    clips = drawn.clips[:, None]
+    response = np.where(clips, *(_cell_responses(n, clips=clip)[drawn.blurs] for clip in (True, False)))
+    flipped = drawn.white + response * np.where(drawn.white > 0.5, -1, 1)
     priors, std = columns_of(n).outlier_priors, stds[:, None]
     inner = np.s_[:, 1 + border : -1 - border, 1 + border : -1 - border]
-    shares = contrasts / readings.scales[:, None]
     own, other = (
         readings.weights[:, None, None]
-        * np.log(densities(part * shares, std, priors)[1])
+        * np.log(densities((white - exposed(pattern, clips)) * shares, std, priors)[1])
         .reshape(-1, n + 2, PARTS, n + 2, PARTS)
         .sum(axis=(2, 4))[inner]
-        for part in (errors, errors - flip)
+        for pattern in (drawn.white, flipped)
     )
     spoilt = np.logaddexp(math.log(1 - SPOILT_CELLS) + own, math.log(SPOILT_CELLS) + other)
     return np.asarray((spoilt + math.log(2) - np.logaddexp(own, other)).sum(axis=(1, 2)))
@@ -269,11 +286,11 @@ def _stretches(n_cells: int, blur: float) -> Array:
     return np.asarray(steps[low] - steps[high])
 
 
-def _log_rectangles(readings: Readings, blur: tuple[float, float]) -> Array:
+def _log_rectangles(readings: Readings, blur: tuple[float, float], *, clips: bool) -> Array:
     """Return the log posterior (N,) of light rectangles in a dark square, by the best of them."""
     n = readings.n_cells
     along, down = (_stretches(n, value) for value in blur)
-    square = [gather(part_places(n), np.array([0.0, n]), value)[:, 0] for value in blur]
+    square = [gather(part_places(n), cell_edges(1, n, value, clips=clips), value)[:, 0] for value in blur]
     ground = 1 - square[1][:, None] * square[0]
     side, other = len(ground), ground - ground.mean()
     images = readings.levels.reshape(-1, side, side)
@@ -287,11 +304,14 @@ def _log_rectangles(readings: Readings, blur: tuple[float, float]) -> Array:
     best = np.argpartition(-gain.reshape(len(images), -1), MAX_RECTANGLES, axis=1)[:, :MAX_RECTANGLES]
     rows, columns = np.divmod(best, len(along))
     drawn = (down[rows][..., :, None] * along[columns][..., None, :]).reshape(*best.shape, -1)
-    fits = fit_patterns(readings, drawn, ground.reshape(1, 1, -1), any_contrast=True)
+    drawn, ground = (exposed(white, clips) for white in (drawn, ground.reshape(1, 1, -1)))
+    fits = fit_patterns(readings, drawn, ground, any_contrast=True)
     return np.asarray(np.logaddexp.reduce(fits.logs, axis=1) + math.log(RECTANGLES_ODDS / number))
 
 
-def _log_grids(readings: Readings, whiteness: Array, blur: tuple[float, float], dictionary: str) -> Array:
+def _log_grids(
+    readings: Readings, whiteness: Array, blur: tuple[float, float], dictionary: str, *, clips: bool
+) -> Array:
     """Return the log posterior (N,) of squares of other grids, with the bits that readings show."""
     n = readings.n_cells
     side = PARTS * (n + 2)
@@ -302,8 +322,10 @@ def _log_grids(readings: Readings, whiteness: Array, blur: tuple[float, float], 
         size = (bits + 2, bits + 2)
         black = np.stack([cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in inside]) < 0.5
         black[:, [0, -1]] = black[:, :, [0, -1]] = True
-        along, down = (gather(part_places(n), np.linspace(0, n, bits + 3), value) for value in blur)
-        drawn.append((1 - down @ black.astype(float) @ along.T).reshape(len(inside), -1))
+        along, down = (
+            gather(part_places(n), cell_edges(bits + 2, n, value, clips=clips), value) for value in blur
+        )
+        drawn.append(exposed(1 - down @ black.astype(float) @ along.T, clips).reshape(len(inside), -1))
     fits = fit_cards(readings, np.stack(drawn, axis=1))
     costs = -math.log(2) * np.square(others)
     return np.asarray(np.logaddexp.reduce(fits.logs + costs, axis=1) + math.log(GRIDS_ODDS))

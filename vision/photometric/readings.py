@@ -11,6 +11,7 @@ from math import isqrt
 
 import numpy as np
 import numpy.typing as npt
+from scipy.special import ndtri
 
 from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.markers.blur_model import gather
@@ -51,6 +52,14 @@ BLURS_CELLS = (
 """Blurs (along the rows, along the columns) under which patterns are drawn, standard deviations in cells.
 Chosen: geometric between a sharp edge and the largest blur that is accepted; then streaks of motion."""
 
+CLIPPED_GAIN = 3.0
+"""Contrast of an overexposed marker before white is clipped, over that after. Chosen: edges then move by one
+standard deviation of the blur, as at 1.6 stops too much light."""
+
+CLIPPED_SHARE, CLIPPED_RANGE = 0.15, 0.02
+"""Candidates may be clipped of whose readings this share lies this near to the brightest, as a share of their
+range. Chosen: far more than in an image with noise. It spares the drawing of clipped patterns."""
+
 CELL_BLURS = (0.2, 0.5)
 """Blurs under which whole cells are compared with all markers, before some markers are drawn in parts.
 Chosen: a sharp one and a blurred one."""
@@ -89,6 +98,11 @@ class Readings(RowRecord):
         """Mean grey levels (N, n + 2, n + 2) of the cells, with those of the white zone around them."""
         side = self.n_cells + 2
         return np.asarray(self.levels.reshape(-1, side, PARTS, side, PARTS).mean(axis=(2, 4)))
+
+    def may_be_clipped(self) -> npt.NDArray[np.bool_]:
+        """Return which (N,) have as many readings near the brightest as an overexposed image has."""
+        near = self.levels.max(axis=1) - CLIPPED_RANGE * self.scales
+        return np.asarray((self.levels > near[:, None]).mean(axis=1) > CLIPPED_SHARE)
 
     @classmethod
     def read(cls, image: Image, corners_px: Array, n_cells: int) -> "Readings":
@@ -136,8 +150,24 @@ def black_cells(dictionary: str) -> npt.NDArray[np.float32]:
     return (~turned).reshape(-1, *cells.shape[1:]).astype(np.float32)
 
 
-def draw_codes(readings: Readings, codes: IntArray, dictionary: str) -> tuple[IntArray, Array]:
-    """Draw codes under the blur with which they resemble the readings most.
+def exposed(white: Array, clips: npt.NDArray[np.bool_] | bool) -> Array:
+    """Return whiteness as an image shows it; in an overexposed one white grows into the black beside it."""
+    return np.where(clips, np.minimum(CLIPPED_GAIN * white, 1.0), white)
+
+
+def cell_edges(bits: int, n_cells: int, blur_cells: float, *, clips: bool) -> Array:
+    """Return the edges (bits + 1,) of as many cells along an axis of a square whose side seems to be n_cells.
+
+    Clipping moves the place where a blurred edge has half of the contrast, so that the square seems smaller.
+    """
+    moved = float(ndtri(1 - 0.5 / CLIPPED_GAIN)) * blur_cells if clips else 0.0
+    return np.linspace(-moved, n_cells + moved, bits + 1)
+
+
+def draw_codes(
+    readings: Readings, codes: IntArray, dictionary: str
+) -> tuple[IntArray, npt.NDArray[np.bool_], Array]:
+    """Draw codes under the blur with which they resemble the readings most, overexposed or not.
 
     Args:
         readings: of N candidates.
@@ -145,29 +175,54 @@ def draw_codes(readings: Readings, codes: IntArray, dictionary: str) -> tuple[In
         dictionary: of the markers.
 
     Returns:
-        The numbers (N, K) of the blurs in `BLURS_CELLS`, and the whiteness (N, K, parts), 0 to 1.
+        The numbers (N, K) of the blurs in `BLURS_CELLS`, whether the image clips (N, K), and the whiteness
+        (N, K, parts), 0 to 1, before it does.
     """
-    black, (along, down) = black_cells(dictionary)[codes], _gathers(readings.n_cells)
+    blurs, alike, drawn = _drawn_most_alike(readings, codes, dictionary, clips=False)
+    clips = np.zeros(codes.shape, dtype=bool)
+    bright = np.flatnonzero(readings.may_be_clipped())
+    if bright.size:
+        own, likeness, shown = _drawn_most_alike(readings.take(bright), codes[bright], dictionary, clips=True)
+        clips[bright] = likeness > alike[bright]
+        blurs[bright] = np.where(clips[bright], own, blurs[bright])
+        drawn[bright] = np.where(clips[bright, :, None], shown, drawn[bright])
+    return blurs, clips, drawn
+
+
+def _drawn_most_alike(
+    readings: Readings, codes: IntArray, dictionary: str, *, clips: bool
+) -> tuple[IntArray, Array, Array]:
+    """Return the blurs (N, K) most alike, their correlations with the readings, and unclipped whiteness."""
+    black, (along, down) = black_cells(dictionary)[codes], _gathers(readings.n_cells, clips)
     rows = np.einsum("bsj,nkij->nkbis", along, black)
     drawn = 1 - np.einsum("bri,nkbis->nkbrs", down, rows, optimize=True)
     drawn = drawn.reshape(*codes.shape, len(BLURS_CELLS), -1)
-    centred = drawn - drawn.mean(axis=-1, keepdims=True)
+    shown = exposed(drawn, clips) if clips else drawn
+    centred = shown - shown.mean(axis=-1, keepdims=True)
     seen = standardised(readings.levels.astype(np.float32))
     alike = np.einsum("nkbr,nr->nkb", centred, seen) / np.linalg.norm(centred, axis=-1)
     blurs = alike.argmax(axis=-1)
     chosen = np.take_along_axis(drawn, blurs[..., None, None], axis=2)[:, :, 0]
-    return blurs, np.asarray(chosen, dtype=float)
+    return blurs, np.asarray(alike.max(axis=-1)), np.asarray(chosen, dtype=float)
 
 
 @lru_cache(maxsize=16)
-def _gathers(n_cells: int) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+def _gathers(n_cells: int, clips: bool) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Return weights (blurs, side, n) of a row's cells at its parts, along the rows and along the columns."""
-    places, edges = part_places(n_cells), np.arange(n_cells + 1.0)
-    both = [
-        np.stack([gather(places, edges, blur[axis]) for blur in BLURS_CELLS]).astype(np.float32)
+    along, down = (
+        np.stack(
+            [
+                gather(
+                    part_places(n_cells),
+                    cell_edges(n_cells, n_cells, blur[axis], clips=clips),
+                    blur[axis],
+                )
+                for blur in BLURS_CELLS
+            ]
+        ).astype(np.float32)
         for axis in (0, 1)
-    ]
-    return both[0], both[1]
+    )
+    return along, down
 
 
 def _weights(corners_px: Array, n_cells: int) -> Array:

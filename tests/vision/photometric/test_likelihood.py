@@ -118,6 +118,18 @@ def test_light_rectangles_in_dark_squares_are_refused(box) -> None:
     assert odds.log_odds[0] < min_log_odds("4X4_50")
 
 
+@pytest.mark.parametrize("marker", range(0, 50, 3))
+def test_overexposed_markers_are_read_and_wrong_bits_refused(marker) -> None:
+    """Three times too much light clips white: edges move by one standard deviation of the blur, 1 px here."""
+    square = corners(6) + np.array([[[1, 1], [-1, 1], [-1, -1], [1, -1]]])
+    cells = marker_cells("4X4_50", marker)
+    wrong = flipped(cells, tuple(np.random.default_rng(marker).integers(1, 5, 2)))
+    right, other = (
+        marker_odds(noisy(3 * card(bits), marker), square, "4X4_50").log_odds[0] for bits in (cells, wrong)
+    )
+    assert right > min_log_odds("4X4_50") and other < min_log_odds("4X4_50") - 2
+
+
 def test_shaded_half_of_a_marker_is_not_taken_for_black() -> None:
     """Id 8 with the light of one half times 0.25 resembles id 28, whose other half is black."""
     levels = card(marker_cells("4X4_50", 8))
@@ -132,7 +144,7 @@ def test_shaded_half_of_a_marker_is_not_taken_for_black() -> None:
 def test_levels_and_noise_agree_with_a_plain_reference() -> None:
     """The batched sums against the module's formulas, written out for one candidate and one pattern."""
     readings = Readings.read(noisy(card(marker_cells("4X4_50", 9)), 6), corners(6), 6)
-    _, drawn = draw_codes(readings, nearest_codes(readings, "4X4_50"), "4X4_50")
+    *_, drawn = draw_codes(readings, nearest_codes(readings, "4X4_50"), "4X4_50")
     fitted = fit_patterns(readings, drawn)
     columns, scale, card_parts = pattern_fit.columns_of(6), readings.scales[0], on_marker(6)
     y, prior = readings.levels[0] / scale, columns.outlier_priors

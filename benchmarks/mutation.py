@@ -59,7 +59,9 @@ PARTS = {
     ),
     "output_folder": Part(("files/output_folder.py",), "tests/files/test_output_folder.py"),
     "driver": Part(("live/drivers/driver.py",), "tests/live/drivers/test_driver.py"),
-    "robot_core": Part(("live/robot_core.py",), "tests/live/test_robot_core.py"),
+    "robot_core": Part(
+        ("live/robot_core.py",), "tests/live/test_robot_core.py tests/live/test_live_bodies.py"
+    ),
     "session": Part(("live/session.py",), "tests/live/test_operator.py tests/live/test_session.py"),
     "operator": Part(("live/operator.py",), "tests/live/test_operator.py"),
     "stop_latch": Part(

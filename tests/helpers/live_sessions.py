@@ -172,7 +172,7 @@ class Script:
         now_s = float(self.commanded_s[image, row]) + offset_s
         reason = self.reasons.get(robot, ["driving"] * self.images)[image]
         speed = 0.1 * (reason == "driving")
-        order = Order(v_mps=speed, omega_radps=0.0, reason=reason)
+        order = Order(speed, 0.0, reason, wanted_v_mps=0.0, wanted_omega_radps=0.0)
         age_s = now_s - float(self.captured_s[image]) - offset_s
         process_log.put("/decide", now_s, {"order": order, "armed": speed > 0, "image_age_s": age_s})
         process_log.put("/heartbeat", now_s, {"refused": {}, "dropped": 0})

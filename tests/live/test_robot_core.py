@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from skyherd.control import MarkerGains, Wheels
+from skyherd.control import GoalInboxes, MarkerGains, Wheels
 from skyherd.live.drivers import SpeedLimits
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
-from skyherd.live.robot_core import DRIVING, RobotCore, RobotLimits
+from skyherd.live.robot_core import DRIVING, MAX_GAP_S, UNSEEN, RobotCore, RobotLimits
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import Arm, Envelope, Heartbeat, Sighting, Stop
-from skyherd.messages import MotionGoals
+from skyherd.messages import MotionGoals, Proximity
 
 pytestmark = pytest.mark.smoke
 
@@ -27,10 +27,10 @@ LIMITS = RobotLimits(
 ROBOT, STEP_S = 3, 0.05
 
 
-def make_core() -> RobotCore:
-    law = MarkerGains(k=2.0, k_omega=4.0, b_th=0.01, side_m=0.1)
+def make_core(delay_s: float = 0.0) -> RobotCore:
+    law, clocks = MarkerGains(k=2.0, k_omega=4.0, b_th=0.01, side_m=0.1), ClockLimits(1.0, 0.1)
     return RobotCore(
-        ROBOT, [0, 1], law, Wheels(0.6, 3.0), LIMITS, side_m=0.1, clock_limits=ClockLimits(1.0, 0.1)
+        ROBOT, [0, 1], law, Wheels(0.6, 3.0), LIMITS, side_m=0.1, delay_s=delay_s, clock_limits=clocks
     )
 
 
@@ -85,6 +85,101 @@ class Scene:
             self.see()
             order = self.step()
         return order
+
+
+@pytest.mark.parametrize("start_s", [0.0, 100.0, 1e6])
+def test_clocks_may_begin_at_any_time(start_s) -> None:
+    scene = Scene(start_s=start_s)
+    assert scene.drive().reason == DRIVING
+
+
+def test_messages_before_the_first_decision_move_nothing() -> None:
+    scene = Scene()
+    scene.compare_clocks()
+    scene.see()
+    scene.core.decide(scene.now_s)
+    scene.arm()
+    assert scene.core.armed
+    assert scene.step().reason == "no message from a unit since the process started or woke up"
+
+
+def test_limits_of_time_are_inclusive() -> None:
+    """Times that are exact in binary, from 0 s: each limit itself still counts as within it."""
+    limits = RobotLimits(LIMITS.speeds, goal_timeout_s=0.5, unseen_s=0.75)
+    scene = Scene(start_s=0.0)
+    scene.core.limits = limits
+    scene.core.decide(0.0)
+    assert scene.core.decide(0.0).reason == UNSEEN, "two decisions at one time are no jump"
+    assert scene.core.decide(MAX_GAP_S).reason == UNSEEN, "nor are two that are MAX_GAP_S apart"
+    scene.now_s = MAX_GAP_S
+    scene.compare_clocks()
+    scene.see()
+    seen_s = scene.now_s
+    assert scene.core.is_ready(seen_s + limits.unseen_s)
+    assert not scene.core.is_ready(np.nextafter(seen_s + limits.unseen_s, 2 * seen_s))
+    scene.see(repeated=[ROBOT])
+    assert "two places" in scene.core.decide(seen_s + limits.unseen_s).reason
+    scene.core.receive(Envelope("robot/3", seen_s, Heartbeat({}), "another"), seen_s)
+    scene.now_s = seen_s + CONFLICT_S
+    scene.compare_clocks()
+    scene.see()
+    assert not scene.core.is_ready(scene.now_s) and scene.core.is_ready(scene.now_s + 0.01)
+
+
+def test_image_of_exactly_the_timeout_is_fresh() -> None:
+    scene = Scene(start_s=0.0)
+    scene.wake()
+    scene.core.clocks = PeerClocks("robot/3", ClockLimits(1.0, 0.1))
+    scene.now_s = 1.0
+    scene.compare_clocks()
+    scene.see(age_s=LIMITS.goal_timeout_s)
+    offset_s = scene.core.clocks.estimate("unit/0", scene.now_s).offset_s
+    assert offset_s == 0.0
+    assert scene.core.image_age_s(scene.now_s) == LIMITS.goal_timeout_s
+
+
+@pytest.mark.parametrize("doubled_before_s", [0.75, 0.8])
+def test_two_places_are_forgotten_at_jump_after_the_timeout(doubled_before_s) -> None:
+    scene = Scene(start_s=0.0)
+    scene.core.limits = RobotLimits(LIMITS.speeds, goal_timeout_s=0.5, unseen_s=0.75)
+    scene.core.decide(0.0)
+    scene.compare_clocks()
+    scene.see(repeated=[ROBOT])
+    scene.core.decide(doubled_before_s)
+    scene.core.decide(10.0)
+    assert ("two places" in scene.core.decide(10.0).reason) == (doubled_before_s == 0.75)
+
+
+def test_goals_of_late_images_account_for_recorded_motion(monkeypatch) -> None:
+    """As with a memory without end. A robot that knows a delay of its drive decides differently."""
+
+    def wanted(memory_s: float | None, delay_s: float = 0.0) -> tuple[float, float]:
+        scene = Scene()
+        scene.core = make_core(delay_s)
+        if memory_s is not None:
+            scene.core._motion.memory_s = memory_s
+        scene.drive(30)
+        scene.now_s += 0.1
+        scene.unit_says(Sighting(0, scene.now_s, [ROBOT], []))
+        scene.core._team.inboxes = GoalInboxes(
+            np.array([ROBOT]), np.array([0, 1]), LIMITS.goal_timeout_s, distances=False
+        )
+        scene.unit_says(goals(scene.now_s - 0.48, rho=40.0))
+        order = scene.core.decide(scene.now_s)
+        assert order.reason == DRIVING
+        return order.wanted_v_mps, order.wanted_omega_radps
+
+    assert wanted(None) == wanted(100.0) == wanted(None, delay_s=0.0)
+    assert wanted(0.3) != wanted(None) != wanted(None, delay_s=0.2)
+
+
+def test_report_of_bodies_without_avoidance_has_no_effect() -> None:
+    scene = Scene()
+    scene.drive()
+    pair = [ROBOT], [4], [3.0], [0.0], [2.2], [1.0]
+    scene.unit_says(Proximity(0, scene.now_s, 8.0, [ROBOT, 4], *pair))
+    scene.see()
+    assert scene.step().reason == DRIVING
 
 
 def test_disarmed_robot_reports_wanted_command() -> None:
@@ -186,8 +281,10 @@ def test_jump_of_own_clock_stops_robot(jump_s) -> None:
     scene = Scene()
     scene.drive()
     order = scene.core.decide(scene.now_s + jump_s)
-    assert (order.v_mps, order.omega_radps) == (0.0, 0.0)
+    assert (order.v_mps, order.omega_radps) == (order.wanted_v_mps, order.wanted_omega_radps) == (0.0, 0.0)
     assert "its own clock" in order.reason
+    if math.isfinite(jump_s):
+        assert order.reason == f"its own clock jumped by {jump_s:+.3g} s between two decisions"
 
 
 def test_goals_of_others_and_from_strangers_have_no_effect() -> None:

@@ -86,8 +86,8 @@ class Order:
     v_mps: float
     omega_radps: float
     reason: str
-    wanted_v_mps: float = 0.0
-    wanted_omega_radps: float = 0.0
+    wanted_v_mps: float
+    wanted_omega_radps: float
 
 
 class RobotCore:
@@ -121,8 +121,8 @@ class RobotCore:
         limits: RobotLimits,
         *,
         side_m: float,
-        delay_s: float = 0.0,
-        clock_limits: ClockLimits = ClockLimits(),  # noqa: B008 - frozen
+        delay_s: float,
+        clock_limits: ClockLimits,
         other_ids: list[int] | None = None,
         avoidance: AvoidanceRule | None = None,
     ) -> None:
@@ -133,10 +133,12 @@ class RobotCore:
         self._avoidance, self._other_ids = avoidance, sorted(other_ids or [])
         self._arm_state = ArmState()
         self._started_s: float | None = None
-        self._decided_s: float | None = None
+        self._decided_s = math.nan
         self._woke_s, self._heard_since_woken = math.inf, False
         self._namesake_s = -math.inf
-        self._seen_s, self._doubled_s = -math.inf, -math.inf
+        self._seen_s: float
+        self._doubled_s: float
+        self._team: GoalFollowers
         self._limiter = Limiter(limits.speeds)
         self._refused = ""
         self._forget()
@@ -198,9 +200,9 @@ class RobotCore:
         if not math.isfinite(now_s):
             return self._stopped("its own clock has no finite time")
         if self._started_s is None:
-            self._started_s = self._woke_s = now_s
+            self._started_s = self._woke_s = self._decided_s = now_s
         before_s, self._decided_s = self._decided_s, now_s
-        if before_s is not None and not 0 <= now_s - before_s <= MAX_GAP_S:
+        if not 0 <= now_s - before_s <= MAX_GAP_S:
             was_doubled = before_s - self._doubled_s <= self.limits.unseen_s
             self._forget()
             self._doubled_s = now_s if was_doubled else self._doubled_s
@@ -210,8 +212,7 @@ class RobotCore:
         v_mps, omega_radps = float(orders.command.v_mps[0]), float(orders.command.omega_radps[0])
         if reason := self._stop_reason(now_s):
             return self._stopped(reason, v_mps, omega_radps, now_s)
-        passed_s = 0.0 if before_s is None else now_s - before_s
-        limited = self._limiter.limit(Motion(v_mps, omega_radps), passed_s)
+        limited = self._limiter.limit(Motion(v_mps, omega_radps), now_s - before_s)
         self._record(limited, now_s)
         return Order(
             v_mps=limited.forward_mps,

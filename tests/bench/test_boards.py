@@ -51,7 +51,7 @@ def view(rng):
 
 def sightings(corners_px, ids=IDS, covariances=None):
     shape = np.zeros((len(ids), 3, 3)) if covariances is None else covariances
-    return Sightings(ids, corners_px, shape)
+    return Sightings(ids, corners_px, shape, np.zeros(len(ids), dtype=np.int64))
 
 
 def synthetic(detectors, *, board_error=0.0, shared_px=0.0, seed=1, images=IMAGES, degree=4):

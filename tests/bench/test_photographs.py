@@ -60,7 +60,7 @@ def seen(*markers):
     """Return sightings of (id, centre, side)."""
     ids = np.array([marker[0] for marker in markers], dtype=np.int64)
     corners = np.array([np.add(center, side * SQUARE) for _, center, side in markers]).reshape(-1, 4, 2)
-    return Sightings(ids, corners, np.zeros((ids.size, 3, 3)))
+    return Sightings(ids, corners, np.zeros((ids.size, 3, 3)), np.zeros(ids.size, dtype=np.int64))
 
 
 def places(found):

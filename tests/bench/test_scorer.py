@@ -28,7 +28,7 @@ def frame(ids, centers, headings=None, whole=None, bound=(0.01, 0.01, 0.001)):
     )
 
 
-def answer(ids, centers, headings=None, deviation=None):
+def answer(ids, centers, headings=None, deviation=None, qualities=None):
     """Return detections, optionally with a repeated id, which `Detections` itself would reject."""
     count = len(ids)
     covariance = np.zeros((3, 3)) if deviation is None else np.diag(np.square(deviation))
@@ -37,6 +37,7 @@ def answer(ids, centers, headings=None, deviation=None):
         centers_px=np.array(centers, dtype=float).reshape(-1, 2),
         headings_rad=np.zeros(count) if headings is None else np.array(headings, dtype=float),
         covariances=np.repeat(covariance[None], count, axis=0),
+        qualities=np.zeros(count, dtype=np.int64) if qualities is None else np.array(qualities),
     )
 
 
@@ -153,6 +154,20 @@ def test_errors_at_bound_have_ratio_one():
     assert result.ratio_px == pytest.approx(1.0, abs=5 / (4 * count) ** 0.5)
     assert result.ratio_deg == pytest.approx(1.0, abs=5 / (2 * count) ** 0.5)
     assert result.bias_px < 5 * 0.02 * (2 / count) ** 0.5
+
+
+def test_photometric_measurements_are_also_scored_alone():
+    """One of two markers, measured by its edges, is ten times as far off."""
+    shown = frame([1, 2], [(0, 0), (100, 0)], bound=(0.1, 0.1, 0.01))
+    told = answer([1, 2], [(0.1, 0.0), (101.0, 0.0)], [0.02, 0.2], (0.1, 0.1, 0.01), [2, 0])
+    result = score((shown, told))
+    assert (result.found, result.photometric) == (2, 1)
+    assert result.photometric_ratio_px == pytest.approx(0.5**0.5)
+    assert result.ratio_px == pytest.approx((1.01 / 4) ** 0.5 / 0.1)
+    assert result.photometric_ratio_deg == pytest.approx(2.0)
+    assert result.photometric_nees == pytest.approx((1 + 0 + 4) / 3)
+    none = score((shown, answer([1], [(0.0, 0.0)])))
+    assert (none.photometric, none.photometric_ratio_px, none.photometric_nees) == (0, None, None)
 
 
 def test_nees_is_none_if_a_covariance_is_missing():

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.bench.detectors.frames import LabelledFrame
-from skyherd.geometry import Array, IntArray, wrap_angle
-from skyherd.messages import Detections
+from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
+from skyherd.messages import Detections, Quality
 
 
 @dataclass(frozen=True)
@@ -33,6 +33,8 @@ class Score:
         nees_u, nees_v, nees_heading: normalised estimation error squared, the mean of error² over the
             reported variance: 1 if the variances are consistent. None if the detector reports none.
         nees: mean of the three.
+        photometric: number of markers found that a photometric fit measured (`Quality.PHOTOMETRIC`).
+        photometric_ratio_px, photometric_ratio_deg, photometric_nees: ratios and mean NEES of these alone.
     """
 
     images: int
@@ -52,6 +54,10 @@ class Score:
     nees_v: float | None
     nees_heading: float | None
     nees: float | None
+    photometric: int
+    photometric_ratio_px: float | None
+    photometric_ratio_deg: float | None
+    photometric_nees: float | None
 
 
 class Scorer:
@@ -63,6 +69,7 @@ class Scorer:
         self._bounds: list[Array] = []
         self._variances: list[Array] = []
         self._missed: list[Array] = []
+        self._photometric: list[BoolArray] = []
 
     def add(self, frame: LabelledFrame, detections: Detections) -> None:
         """Compare the detections of one frame with its truth, and accumulate the errors."""
@@ -78,6 +85,7 @@ class Scorer:
         self._bounds.append(_variances(frame.bounds[rows]))
         self._variances.append(_variances(detections.covariances[answers]))
         self._missed.append(_variances(np.delete(frame.bounds, rows, axis=0)))
+        self._photometric.append(detections.qualities[answers] == Quality.PHOTOMETRIC)
 
     def score(self) -> Score:
         """Return the score over all frames so far."""
@@ -87,7 +95,12 @@ class Scorer:
         crb_px, crb_rad = _rms_of_variances(bounds)
         rmse_px, rmse_rad = _rms_of_variances(errors**2)
         mean = errors.mean(axis=0) if found else None
-        nees = _nees(errors, np.concatenate([np.zeros((0, 3)), *self._variances]))
+        variances = np.concatenate([np.zeros((0, 3)), *self._variances])
+        nees = _nees(errors, variances)
+        fitted = np.concatenate([np.zeros(0, dtype=bool), *self._photometric])
+        fit_nees = _nees(errors[fitted], variances[fitted])
+        fit_px, fit_rad = _rms_of_variances(errors[fitted] ** 2)
+        fit_crb_px, fit_crb_rad = _rms_of_variances(bounds[fitted] if found else bounds)
         return Score(
             images=self._images,
             markers=self._markers,
@@ -106,6 +119,10 @@ class Scorer:
             nees_v=None if nees is None else float(nees[1]),
             nees_heading=None if nees is None else float(nees[2]),
             nees=None if nees is None else float(nees.mean()),
+            photometric=int(fitted.sum()),
+            photometric_ratio_px=_ratio(fit_px, fit_crb_px),
+            photometric_ratio_deg=_ratio(fit_rad, fit_crb_rad),
+            photometric_nees=None if fit_nees is None else float(fit_nees.mean()),
         )
 
 

@@ -34,6 +34,7 @@ def make_tables(result: Result) -> list[Table]:
             "The same through what a consumer camera does. The bound is that of the raw pixels, with a "
             "Gaussian blur of the same variance: what is done to them afterwards can only lose.",
         ),
+        _by_quality(result),
         _nees(result, middle),
         _false_positives(result),
         *(_times(result, noise) for noise in sorted({row["noise"] for row in result.timing})),
@@ -96,6 +97,34 @@ def _factors(result: Result, sweeps: Sequence[Sweep], title: str, note: str) -> 
 
 def _with_recall(row: Row | None) -> str:
     return NONE if row is None else f"{_pair(row)}, {share(row['recall'])}"
+
+
+def _by_quality(result: Result) -> Table:
+    """Return rows of conditions in which a detector measured some markers by another way than the fit."""
+    body = []
+    for row in result.cells:
+        photometric, found = row.get("photometric"), row["found"]
+        if not photometric or photometric == found:
+            continue
+        sweep = next((one for one in (*SWEEPS, *CAMERA_SWEEPS) if one.name == row["sweep"]), None)
+        where = "" if sweep is None else f"{sweep.label}: {row[sweep.key]:g}, "
+        body.append(
+            (
+                row["detector"],
+                f"{where}{row['side_px']:g} px, noise {row['noise']:g}",
+                f"{photometric} of {found}",
+                f"{_pair(row)}, NEES {short(row['nees'])}",
+                f"{short(row['photometric_ratio_px'])} / {short(row['photometric_ratio_deg'])}, "
+                f"NEES {short(row['photometric_nees'])}",
+            )
+        )
+    return Table(
+        "Photometric measurements alone",
+        "Cells in which some markers found were measured robustly or by their edges: how many by a "
+        "photometric fit, and RMSE over the bound (position / heading) and NEES of all and of these alone.",
+        ("detector", "cell", "photometric", "all", "photometric alone"),
+        tuple(body),
+    )
 
 
 def _nees(result: Result, noise: float) -> Table:

@@ -18,6 +18,7 @@ from skyherd.bench.entrants import is_ours
 from skyherd.bench.photographs.sightings import Sightings
 from skyherd.geometry import Array
 from skyherd.markers.dictionary import pose_of_corners
+from skyherd.messages import Quality
 
 SAME_PLACE_SIDES = 0.3
 """Maximum distance of centres at one place, in sides of the smaller square. Chosen: centres of separate
@@ -38,6 +39,7 @@ class Place:
         side_px: median of the sides found.
         corners_px: (4, 2) from the first detector.
         found_by: names of the detectors, in their order.
+        fitted_by: names of those that measured it by a photometric fit.
     """
 
     marker_id: int
@@ -45,6 +47,7 @@ class Place:
     side_px: float
     corners_px: Array
     found_by: tuple[str, ...]
+    fitted_by: tuple[str, ...] = ()
 
     @property
     def families(self) -> int:
@@ -107,6 +110,7 @@ def _places(found: Mapping[str, Sightings]) -> list[Place]:
         return []
     ids = np.concatenate([seen.ids for seen in found.values()])
     corners = np.concatenate([seen.corners_px for seen in found.values()])
+    fitted = np.concatenate([seen.qualities == Quality.PHOTOMETRIC for seen in found.values()])
     centers, _, sides = pose_of_corners(corners)
     apart = np.linalg.norm(centers[:, None] - centers, axis=2)
     near = (apart < SAME_PLACE_SIDES * np.minimum(sides[:, None], sides)) & (ids[:, None] == ids)
@@ -119,6 +123,7 @@ def _places(found: Mapping[str, Sightings]) -> list[Place]:
             side_px=float(np.median(sides[who])),
             corners_px=corners[who[0]],
             found_by=tuple(dict.fromkeys(names[k] for k in who)),
+            fitted_by=tuple(dict.fromkeys(names[k] for k in who if fitted[k])),
         )
         for who in members
     ]

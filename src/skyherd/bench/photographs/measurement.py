@@ -26,12 +26,14 @@ class Count:
 
     Attributes:
         found: confirmed markers that it found.
+        photometric: those of them that it measured by a photometric fit.
         wrong_ids: confirmed markers at whose place it found another id.
         alone: places that no other family of detectors found.
         times_ms: time of each image.
     """
 
     found: int = 0
+    photometric: int = 0
     wrong_ids: int = 0
     alone: int = 0
     times_ms: list[float] = field(default_factory=list)
@@ -115,6 +117,7 @@ def _measure_set(
 def _count(counts: dict[str, Count], judged: Judged) -> None:
     for name, count in counts.items():
         count.found += sum(name in place.found_by for place in judged.confirmed)
+        count.photometric += sum(name in place.fitted_by for place in judged.confirmed)
         count.wrong_ids += sum(name in place.found_by for place in judged.mistaken)
         count.alone += sum(name in place.found_by for place in judged.alone)
 
@@ -178,6 +181,7 @@ def _row(image_set: ImageSet, name: str, counts: dict[str, Count], images: int, 
         "images": images,
         "confirmed": confirmed,
         "found": count.found,
+        "photometric": count.photometric,
         "recall": count.found / confirmed if confirmed else None,
         "wrong_ids": count.wrong_ids,
         "alone": count.alone,

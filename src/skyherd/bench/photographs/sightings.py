@@ -1,6 +1,6 @@
 """Sightings of a detector in one image, including repeated ids, and detectors for a set's markers."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from inspect import signature
 from time import perf_counter
 from typing import Any
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from skyherd.bench.entrants import EntrantError
 from skyherd.errors import InputError, SkyherdError
 from skyherd.geometry import Array, IntArray
+from skyherd.messages import Quality
 from skyherd.vision import Detector, create_detector
 
 
@@ -22,12 +23,14 @@ class Sightings:
         ids: (K,) ids of the markers, which may repeat.
         corners_px: (K, 4, 2) corners, in the order of `skyherd.geometry.SQUARE_CORNERS`.
         covariances: (K, 3, 3) of (u, v, heading); all zero where the detector reports none.
+        qualities: (K,) numbers of `Quality`.
         time_ms: processing time.
     """
 
     ids: IntArray
     corners_px: Array
     covariances: Array
+    qualities: IntArray
     time_ms: float = 0.0
 
 
@@ -69,20 +72,20 @@ class Reader:
         self._images += 1
         start = perf_counter()
         try:
-            ids, corners, covariances = self._find(image)
+            found = self._find(image)
         except SkyherdError as error:
             raise EntrantError(f"detector {self.name}: {error}") from None
         except Exception as error:
             raise EntrantError(f"detector {self.name}: {type(error).__name__}: {error}") from error
-        return Sightings(ids, corners, covariances, 1e3 * (perf_counter() - start))
+        return replace(found, time_ms=1e3 * (perf_counter() - start))
 
-    def _find(self, image: npt.NDArray[np.uint8]) -> tuple[IntArray, Array, Array]:
+    def _find(self, image: npt.NDArray[np.uint8]) -> Sightings:
         find_all: Any = getattr(self._detector, "find_all", None)
         if find_all is not None:
             ids, corners = find_all(image)
-            return ids, corners, np.zeros((len(ids), 3, 3))
+            return Sightings(ids, corners, np.zeros((len(ids), 3, 3)), np.full(len(ids), Quality.CORNERS))
         found = self._detector.detect(image, unit_id=self._images)
-        return found.ids, found.corners_px, found.covariances
+        return Sightings(found.ids, found.corners_px, found.covariances, found.qualities)
 
 
 def make_readers(

@@ -24,6 +24,13 @@ def make_tables(result: PhotographsResult) -> list[Table]:
         ),
         _by_set(
             result,
+            "Markers measured by a photometric fit",
+            "Of the markers found: how many a photometric fit measured. The others are measured robustly or "
+            "by their edges, with larger covariances.",
+            lambda row: str(row.get("photometric", NONE)),
+        ),
+        _by_set(
+            result,
             "Wrong ids and unconfirmed detections",
             "Confirmed markers that a detector reads as another id / places where only detectors of one "
             "family find anything; most of them show no marker.",
@@ -47,6 +54,7 @@ def set_tables(result: PhotographsResult) -> list[Table]:
             row["detector"],
             str(row["confirmed"]),
             str(row["found"]),
+            str(row.get("photometric", NONE)),
             share(row["recall"]),
             str(row["wrong_ids"]),
             str(row["alone"]),
@@ -54,7 +62,7 @@ def set_tables(result: PhotographsResult) -> list[Table]:
             short(row["times_reference"]),
         )
 
-    header = ("detector", "conf.", "found", "recall", "wrong", "alone", "ms", "x opencv")
+    header = ("detector", "conf.", "found", "phot.", "recall", "wrong", "alone", "ms", "x opencv")
     return result.tables_by_set(header, cells)
 
 

@@ -32,9 +32,9 @@ texture is noise too, and without the weights the covariance would promise too m
 
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
@@ -163,9 +163,11 @@ class DesignMatrices:
         for number, (begin, end) in enumerate(pairwise(self.bounds.tolist())):
             out = outliers[begin:end]
             if out.any():
-                own = self.pixels[begin:end]
-                distances, _ = cKDTree(own[out]).query(own)
-                away[begin:end] = distances > margin_px[number]
+                columns, rows = (self.pixels[begin:end] - self.pixels[begin:end].min(axis=0)).T
+                is_away = np.ones((rows.max() + 1, columns.max() + 1), dtype=np.uint8)
+                is_away[rows[out], columns[out]] = 0
+                distances_px = cv2.distanceTransform(is_away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+                away[begin:end] = distances_px[rows, columns] > margin_px[number]
         return away
 
     def residuals(self, solutions: Array) -> Floats:

@@ -130,6 +130,57 @@ def test_overexposed_markers_are_read_and_wrong_bits_refused(marker) -> None:
     assert right > min_log_odds("4X4_50") and other < min_log_odds("4X4_50") - 2
 
 
+def fine(levels: np.ndarray) -> np.ndarray:
+    """Levels four times as fine, without interpolation."""
+    return np.repeat(np.repeat(levels, 4, axis=0), 4, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("box", "blur_px"),
+    [
+        ((0.93, 3.47, 2.06, 3.76), 1.55),
+        ((1.11, 3.19, 2.09, 4.23), 1.66),
+        ((0.94, 3.27, 2.0, 3.68), 2.49),
+    ],
+)
+def test_light_rectangle_like_marker_17_is_refused(box, blur_px) -> None:
+    """Two cells by two are white in 17. All other hypotheses leave these rectangles above the threshold."""
+    levels = fine(card(np.zeros((6, 6), dtype=bool)))
+    top, bottom, left, right = (round(4 * (MARGIN_PX + edge * CELL_PX)) for edge in box)
+    levels[top:bottom, left:right] = 200.0
+    small = cv2.resize(levels, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    odds = marker_odds(noisy(cv2.GaussianBlur(small, (0, 0), blur_px), 1), corners(6), "4X4_50")
+    assert odds.ids[0] == 17 and odds.log_odds[0] < min_log_odds("4X4_50")
+    assert odds.against[0, [0, 1, 3]].min() > min_log_odds("4X4_50") - 0.5
+
+
+@pytest.mark.parametrize(("marker", "bits"), [(3, 6), (9, 7), (19, 5), (5, 8)])
+def test_bits_of_a_marker_on_another_grid_are_refused(marker, bits) -> None:
+    """All other hypotheses leave them above the threshold."""
+    nearest = ((np.arange(bits + 2) + 0.5) / (bits + 2) * 6).astype(int)
+    cells = marker_cells("4X4_50", marker)[np.ix_(nearest, nearest)]
+    cells[[0, -1]] = cells[:, [0, -1]] = False
+    square = np.kron(np.where(cells, 200.0, 30.0), np.ones((36, 36)))
+    levels = card(np.zeros((6, 6), dtype=bool))
+    inside = slice(MARGIN_PX, MARGIN_PX + 6 * CELL_PX)
+    levels[inside, inside] = cv2.resize(square, (6 * CELL_PX,) * 2, interpolation=cv2.INTER_AREA)
+    odds = marker_odds(noisy(cv2.GaussianBlur(levels, (0, 0), BLUR_PX), 4), corners(6), "4X4_50")
+    assert odds.ids[0] == marker and odds.log_odds[0] < 0
+    assert odds.against[0, :3].min() > min_log_odds("4X4_50")
+
+
+def test_blurred_bits_count_less_than_sharp_ones() -> None:
+    """Beyond half a cell of blur the independent bits fall with its square, here to 0.48 of 36."""
+    cells = marker_cells("APRILTAG_36h11", 5)
+    sharp = card(cells)
+    odds = marker_odds(
+        noisy(cv2.GaussianBlur(sharp, (0, 0), 0.72 * CELL_PX), 1), corners(8), "APRILTAG_36h11"
+    )
+    bits = (0.5 / 0.72) ** 2 * 36 * math.log(1.96)
+    most = bits - math.log(4 * 587) - math.log(likelihood.BITS_ODDS)
+    assert odds.ids[0] == 5 and odds.against[0, 1] == pytest.approx(most, abs=0.5)
+
+
 def test_shaded_half_of_a_marker_is_not_taken_for_black() -> None:
     """Id 8 with the light of one half times 0.25 resembles id 28, whose other half is black."""
     levels = card(marker_cells("4X4_50", 8))

@@ -1,4 +1,4 @@
-"""Wrappers of other libraries' detectors: `cv2.aruco`, AprilTag 3 and locus-tag.
+"""Wrappers of other libraries' detectors: `cv2.aruco`, AprilTag 3, locus-tag and NAPA.
 
 They run at the defaults of their libraries. Constant errors are subtracted unless `corrected=False`:
 
@@ -6,13 +6,14 @@ They run at the defaults of their libraries. Constant errors are subtracted unle
   locus-tag of +0.50 px.
 - **Side.** OpenCV underestimates it by 0.5 to 1.15 px, except with the APRILTAG refinement.
 - **Corner order.** AprilTag's corners run in the opposite direction to OpenCV's, and its tags are rotated by
-  180 degrees. The corners of locus-tag have OpenCV's order in all its families.
+  180 degrees. The corners of locus-tag and NAPA have OpenCV's order in all families.
 
 `benchmarks/peer_biases.py --write` measures the first two into `peer_biases.toml`. The centre is the mean of
 the corners. The heading is that of the nearest square in the common plane of the image's markers
 (`headings_in_plane`). These libraries report no covariances, so covariances are zero, which means unknown.
 """
 
+import warnings
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
@@ -41,7 +42,7 @@ REFINEMENTS = {
 """Corner refinement of each `cv2.aruco` detector, by name; all other parameters are OpenCV's defaults."""
 
 APRILTAG_FAMILIES = {"APRILTAG_16h5": "tag16h5", "APRILTAG_25h9": "tag25h9", "APRILTAG_36h11": "tag36h11"}
-"""Names in pupil-apriltags of the OpenCV dictionaries that AprilTag 3 supports."""
+"""Names of the OpenCV dictionaries that AprilTag 3 supports, in pupil-apriltags and NAPA."""
 
 APRILTAG_CORNERS, OPENCV_CORNERS = [3, 2, 1, 0], [1, 0, 3, 2]
 """Permutations of AprilTag's corners to clockwise order, from the tag's own top left and from OpenCV's
@@ -56,6 +57,10 @@ LOCUS_FAMILIES = {
     "APRILTAG_36h11": "AprilTag36h11",
 }
 """Names in locus-tag of the dictionaries that it supports."""
+
+NAPA_MIN_SIDE_PX, NAPA_MAX_TAGS = 8, 1024
+"""Smallest side that NAPA searches for, px, and most tags of an image. Chosen: the smallest side that it
+accepts, since its default of 32 excludes most markers of the benchmarks."""
 
 TILT_MIN_MARKERS = 3
 """Smallest number of markers for an estimate of the tilt. Derived: the anisotropies of two markers determine
@@ -230,5 +235,32 @@ class _Locus:
         return found.ids.astype(np.int64), found.corners.astype(float).reshape(-1, 4, 2)
 
 
-_OTHERS: dict[str, Callable[[str], _Finder]] = {"apriltag3": _AprilTag3, "locus-tag": _Locus}
+class _Napa:
+    """NAPA (`napa-vision`). Its licence excludes commercial use, so no extra installs it."""
+
+    def __init__(self, dictionary: str) -> None:
+        where = "detector napa"
+        if dictionary not in APRILTAG_FAMILIES:
+            raise InputError(where, f"does not know {dictionary}", f"one of {', '.join(APRILTAG_FAMILIES)}")
+        try:
+            library: Any = import_module("napa_vision")
+        except ImportError:
+            raise InputError(where, "napa-vision is not installed", "pip install napa-vision") from None
+        options = {"min_tag_px": NAPA_MIN_SIDE_PX, "max_detections": NAPA_MAX_TAGS}
+        with warnings.catch_warnings():
+            # Version 0.4.1 makes NumPy warn of the sizes of its ctypes structures.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            self._detector = library.NapaDetector(family=APRILTAG_FAMILIES[dictionary], **options)
+
+    def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
+        tags = self._detector.detect(np.ascontiguousarray(image))
+        corners = np.array([tag.corners for tag in tags], dtype=float).reshape(-1, 4, 2)
+        return np.array([tag.tag_id for tag in tags], dtype=np.int64), corners
+
+
+_OTHERS: dict[str, Callable[[str], _Finder]] = {
+    "apriltag3": _AprilTag3,
+    "locus-tag": _Locus,
+    "napa": _Napa,
+}
 """Wrappers of libraries other than OpenCV, by detector name."""

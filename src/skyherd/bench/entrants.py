@@ -27,10 +27,13 @@ __all__ = [
 APRILTAG_DICTIONARY = "APRILTAG_36h11"
 """Fallback dictionary for detectors that do not support the requested one."""
 
-LIBRARIES = {"apriltag3": "pupil_apriltags", "locus-tag": "locus"}
+LIBRARIES = {"apriltag3": "pupil_apriltags", "locus-tag": "locus", "napa": "napa_vision"}
 """Modules of optional libraries that detectors need."""
 
-FAMILIES = {"apriltag3": APRILTAG_FAMILIES, "locus-tag": LOCUS_FAMILIES}
+NO_EXTRA = ("napa",)
+"""Detectors whose libraries no extra installs, because their licences exclude commercial use."""
+
+FAMILIES = {"apriltag3": APRILTAG_FAMILIES, "locus-tag": LOCUS_FAMILIES, "napa": APRILTAG_FAMILIES}
 """Supported dictionaries of detectors that support only a few."""
 
 REFERENCE = "opencv"
@@ -46,12 +49,12 @@ class EntrantError(SkyherdError):
 def default_entrants() -> list[str]:
     """List all detectors whose libraries are installed, the reference first."""
     names = [REFERENCE, *(name for name in detector_names() if name != REFERENCE)]
-    return [name for name in names if name not in missing_libraries()]
+    return [name for name in names if name not in LIBRARIES or find_spec(LIBRARIES[name]) is not None]
 
 
 def missing_libraries() -> list[str]:
-    """List the detectors whose libraries are not installed."""
-    return [name for name, module in LIBRARIES.items() if find_spec(module) is None]
+    """List the detectors whose libraries are not installed although the extra `peers` has them."""
+    return [name for name, module in LIBRARIES.items() if name not in NO_EXTRA and find_spec(module) is None]
 
 
 def dictionary_for(name: str, dictionary: str) -> str:

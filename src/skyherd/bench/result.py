@@ -25,6 +25,7 @@ PACKAGES = {
     "opencv": ("opencv-python-headless", "opencv-python"),
     "pupil-apriltags": ("pupil-apriltags",),
     "locus-tag": ("locus-tag",),
+    "napa-vision": ("napa-vision",),
 }
 """Alternative package names of a program, of which one is installed, by the name in the result."""
 

@@ -56,7 +56,7 @@ def detectors(
         str,
         typer.Option(
             metavar="NAME",
-            help="Dictionary of the markers. apriltag3 and locus-tag use their own if they do not know it.",
+            help="Dictionary of the markers. Detectors that do not know it use APRILTAG_36h11.",
             autocompletion=complete_dictionary,
         ),
     ] = "4X4_50",

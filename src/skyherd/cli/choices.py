@@ -10,6 +10,7 @@ from pathlib import Path
 DETECTORS = (
     "apriltag3",
     "locus-tag",
+    "napa",
     "opencv",
     "opencv-apriltag",
     "opencv-contour",

@@ -24,11 +24,12 @@ from skyherd.vision.detectors.peers import (
     peer_names,
 )
 
-LIBRARIES = {"apriltag3": "pupil_apriltags", "locus-tag": "locus"}
+LIBRARIES = {"apriltag3": "pupil_apriltags", "locus-tag": "locus", "napa": "napa_vision"}
 DICTIONARIES = [
     *((name, "4X4_50") for name in REFINEMENTS),
     *(("apriltag3", family) for family in APRILTAG_FAMILIES),
     *(("locus-tag", family) for family in LOCUS_FAMILIES),
+    *(("napa", family) for family in APRILTAG_FAMILIES),
 ]
 BIAS_PX = {
     "opencv": 0.0,
@@ -37,6 +38,7 @@ BIAS_PX = {
     "opencv-apriltag": 0.46,
     "apriltag3": 0.5,
     "locus-tag": 0.5,
+    "napa": 0.0,
 }
 
 
@@ -160,7 +162,7 @@ def test_missing_library_or_dictionary_gives_input_error(name, library, monkeypa
 
     monkeypatch.setattr(peers, "import_module", absent)
     peers._apriltag_library_detector.cache_clear()
-    with pytest.raises(InputError, match=r"pip install skyherd\[peers\]"):
+    with pytest.raises(InputError, match=r"pip install (skyherd\[peers\]|napa-vision)$"):
         create_detector(name, dictionary="APRILTAG_36h11")
     peers._apriltag_library_detector.cache_clear()
 

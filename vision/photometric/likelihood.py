@@ -148,6 +148,18 @@ def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
         none = np.zeros(0, dtype=np.int64)
         return MarkerOdds(none, none, np.zeros(0), np.zeros((0, 4)), *([np.zeros(0)] * 4))
     readings = Readings.read(image, corners_px, cells_per_side(dictionary))
+    odds = _odds_of_readings(readings.all_seen(), dictionary)
+    # Bright parts are white cells or glare: the explanation with the greater odds counts.
+    rows = np.flatnonzero((readings.seen < 1).any(axis=1))
+    if not rows.size:
+        return odds
+    under_glare = _odds_of_readings(readings.take(rows), dictionary)
+    better = under_glare.log_odds > odds.log_odds[rows]
+    return odds.put(rows[better], under_glare.take(better))
+
+
+def _odds_of_readings(readings: Readings, dictionary: str) -> MarkerOdds:
+    """Return the evidence for the likeliest marker of each of N candidates, by its readings."""
     codes = nearest_codes(readings, dictionary)
     odds = _odds_of_codes(readings, codes[:, :FIRST_CODES], dictionary, first=True)
     hopeful = (odds.against[:, :2] > FIRST_LOG_ODDS).all(axis=1) & (odds.noise_stds < MAX_FIRST_STD)
@@ -222,6 +234,7 @@ def _contradictions(readings: Readings, white: BoolArray) -> Array:
     around = np.lib.stride_tricks.sliding_window_view(cells, (3, 3), axis=(1, 2))
     dark, bright = around.min(axis=(3, 4)), around.max(axis=(3, 4))
     differ = bright - dark > MIN_LOCAL_RANGE * readings.ranges[:, None, None]
+    differ &= readings.cells_seen[:, 1:-1, 1:-1] > 0.5
     wrong = (cells[:, 1:-1, 1:-1] > (dark + bright) / 2) != white
     return np.asarray((wrong & differ).mean(axis=(1, 2)))
 
@@ -268,7 +281,7 @@ def _log_bits(
     inner = np.s_[:, 1 + border : -1 - border, 1 + border : -1 - border]
     own, other = (
         readings.weights[:, None, None]
-        * np.log(densities((white - exposed(pattern, clips)) * shares, std, priors)[1])
+        * (readings.seen * np.log(densities((white - exposed(pattern, clips)) * shares, std, priors)[1]))
         .reshape(-1, n + 2, PARTS, n + 2, PARTS)
         .sum(axis=(2, 4))[inner]
         for pattern in (drawn.white, flipped)

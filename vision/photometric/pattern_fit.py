@@ -5,10 +5,10 @@ The model of the readings y at places (x, y), in sides from the centre, under a 
 
     y = b + c w + (g x + h y) + (p x + q y) w [+ d r] + e,    e ~ (1 - a) N(0, s²) + a / range.
 
-Light may change along the marker, as a sum and as a factor. Parts may be outliers with probability a:
-glare, salt, a pen line, a cover. The ground beyond a narrow card, whose share of a part is r, has a level of
-its own. Levels and noise s are fitted to each hypothesis by expectation maximisation. The contrast c is
-therefore that of the marker itself.
+Light may change along the marker, as a sum and as a factor. Parts may be outliers with probability a: salt, a
+pen line, a cover. Parts that glare saturates do not count. The ground beyond a narrow card, whose share of a
+part is r, has a level of its own. Levels and noise s are fitted to each hypothesis by expectation
+maximisation. The contrast c is therefore that of the marker itself.
 """
 
 import math
@@ -122,7 +122,8 @@ def fit_patterns(
     columns, on_card = columns_of(readings.n_cells), on_marker(readings.n_cells)
     y = readings.levels[:, None] / readings.scales[:, None, None]
     rounding = (ROUNDING_STD / readings.scales)[:, None]
-    share = np.broadcast_to(np.where(on_card, 1.0, FIRST_ZONE_SHARE), white.shape)
+    seen = readings.seen[:, None]
+    share = np.broadcast_to(np.where(on_card, 1.0, FIRST_ZONE_SHARE) * seen, white.shape)
     std = np.full(white.shape[:2], FIRST_STD)
     for _ in range(ITERATIONS):
         normal, right = _normal_equations(columns, share, white, y, ground)
@@ -137,8 +138,8 @@ def fit_patterns(
         variance = (USUAL_STD_PARTS * USUAL_STD**2 + spread) / (USUAL_STD_PARTS + used.sum(axis=-1))
         std = np.sqrt(variance + rounding**2)
         bell, density = densities(errors, std[..., None], columns.outlier_priors)
-        share = bell / density
-    logs = readings.weights[:, None] * np.log(density).sum(axis=-1)
+        share = seen * bell / density
+    logs = readings.weights[:, None] * (seen * np.log(density)).sum(axis=-1)
     logs -= 0.5 * np.square(levels[..., [1, 2, 4, 5]] / GRADIENT_STD).sum(axis=-1)
     grey = levels[..., [0, 3, 1, 2, 4, 5]] * readings.scales[:, None, None]
     if not any_contrast:

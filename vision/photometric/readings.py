@@ -5,10 +5,11 @@ cell. Large markers are read in a shrunk image, so that a part is the mean over 
 in the same parts under several blurs (`skyherd.markers.blur_model`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import isqrt
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
@@ -60,6 +61,15 @@ CLIPPED_SHARE, CLIPPED_RANGE = 0.15, 0.02
 """Candidates may be clipped of whose readings this share lies this near to the brightest, as a share of their
 range. Chosen: far more than in an image with noise. It spares the drawing of clipped patterns."""
 
+SATURATED, MIN_GLARE, MAX_GLARE_SHARE = 250.0, 10.0, 0.4
+"""Grey level from which a reading is saturated, by how much the white zone must be darker, and the largest
+share of the marker that is taken as glare. Chosen: cards in an image that is well exposed are that much
+darker; of a marker under more glare too few bits are left, and what is saturated all over is salt."""
+
+HALO_PARTS = 5
+"""Width of the square, in parts, that a saturated part spoils around it. Chosen: two parts to each side, as
+far as the rim of a spot of light brightens a black cell."""
+
 CELL_BLURS = (0.2, 0.5)
 """Blurs under which whole cells are compared with all markers, before some markers are drawn in parts.
 Chosen: a sharp one and a blurred one."""
@@ -81,12 +91,14 @@ class Readings(RowRecord):
         weights: (N,) independent readings that a part counts as.
         scales: (N,) range of the readings, grey levels.
         ranges: (N,) range on the card that a marker's contrast should explain, grey levels.
+        seen: (N, parts) 0 where glare saturates a part, so that it shows nothing of the marker, else 1.
     """
 
     levels: Array
     weights: Array
     scales: Array
     ranges: Array
+    seen: Array
 
     @property
     def n_cells(self) -> int:
@@ -104,16 +116,39 @@ class Readings(RowRecord):
         near = self.levels.max(axis=1) - CLIPPED_RANGE * self.scales
         return np.asarray((self.levels > near[:, None]).mean(axis=1) > CLIPPED_SHARE)
 
+    def all_seen(self) -> "Readings":
+        """Return the same readings without glare."""
+        return replace(self, seen=np.ones_like(self.seen))
+
+    @property
+    def cells_seen(self) -> Array:
+        """Share (N, n + 2, n + 2) of each cell that no glare saturates."""
+        side = self.n_cells + 2
+        return np.asarray(self.seen.reshape(-1, side, PARTS, side, PARTS).mean(axis=(2, 4)))
+
     @classmethod
     def read(cls, image: Image, corners_px: Array, n_cells: int) -> "Readings":
         """Return the readings of an image (height, width) at corners (N, 4, 2), px, clockwise as seen."""
         levels = _levels(image, corners_px, n_cells)
         on_card = levels[:, on_marker(n_cells)]
+        seen = (~_under_glare(levels, n_cells)).astype(float)
         scales, ranges = (
             np.maximum(np.ptp(np.quantile(values, ends, axis=1), axis=0), MIN_CONTRAST)
             for values, ends in ((levels, QUANTILES), (on_card, CARD_QUANTILES))
         )
-        return cls(levels, _weights(corners_px, n_cells), scales, ranges)
+        return cls(levels, _weights(corners_px, n_cells), scales, ranges, seen)
+
+
+def _under_glare(levels: Array, n_cells: int) -> npt.NDArray[np.bool_]:
+    """Return which parts (N, parts) lie at saturated ones, on candidates whose white is not saturated."""
+    saturated, card = levels >= SATURATED, on_marker(n_cells)
+    white_is_below = np.median(levels[:, ~card], axis=1) < SATURATED - MIN_GLARE
+    spoilt = np.zeros(levels.shape, dtype=bool)
+    halo, side = np.ones((HALO_PARTS, HALO_PARTS), dtype=np.uint8), PARTS * (n_cells + 2)
+    for row in np.flatnonzero(white_is_below & saturated.any(axis=1)):
+        spot = saturated[row].reshape(side, side).astype(np.uint8)
+        spoilt[row] = cv2.dilate(spot, halo).ravel() > 0
+    return np.asarray(spoilt & (spoilt[:, card].mean(axis=1) < MAX_GLARE_SHARE)[:, None])
 
 
 def part_places(n_cells: int, per_part: int = 1) -> Array:

@@ -10,6 +10,7 @@ from skyherd.markers.dictionary import marker_cells
 from skyherd.messages import Quality
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric import likelihood, pattern_fit
+from skyherd.vision.photometric import readings as readings_module
 from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
 from skyherd.vision.photometric.pattern_fit import fit_patterns
 from skyherd.vision.photometric.readings import (
@@ -89,6 +90,21 @@ def test_two_wrong_bits_of_36_are_accepted_and_six_refused() -> None:
         for count in (0, 2, 6)
     ]
     assert accepted == [True, True, False]
+
+
+@pytest.mark.parametrize("spot_cells", [(3.0, 5.0), (2.2, 5.4), (5.5, 5.5)])
+def test_bits_under_glare_count_neither_for_nor_against(spot_cells, monkeypatch) -> None:
+    """A spot of light saturates several black cells. The control takes them for white ones."""
+    levels = card(marker_cells("APRILTAG_36h11", 40))
+    rows, columns = np.indices(levels.shape)
+    middle = MARGIN_PX + np.array(spot_cells) * CELL_PX
+    distances_px = np.hypot(rows - middle[0], columns - middle[1])
+    image = noisy(levels + 400 * np.exp(-((distances_px / 6.0) ** 2) / 2), 3)
+    odds = marker_odds(image, corners(8), "APRILTAG_36h11")
+    assert odds.ids[0] == 40 and odds.log_odds[0] > min_log_odds("APRILTAG_36h11")
+    monkeypatch.setattr(readings_module, "SATURATED", 300.0)
+    refused = marker_odds(image, corners(8), "APRILTAG_36h11")
+    assert refused.log_odds[0] < min_log_odds("APRILTAG_36h11") - 1
 
 
 def test_log_odds_do_not_depend_on_light() -> None:

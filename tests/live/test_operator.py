@@ -1,5 +1,7 @@
 """Commands of an operator to a scripted team: confirmations, and reports about other robots."""
 
+import math
+
 import pytest
 
 from skyherd.live.lab import load_lab
@@ -43,15 +45,15 @@ class ScriptedRobot:
 class ScriptedTeam:
     """All robots of the lab `triangle`, and an operator. Its waiting advances the time."""
 
-    def __init__(self) -> None:
-        self.now_s, self.air = 1000.0, Air(now_s=1000.0)
+    def __init__(self, start_s: float = 1000.0, step_s: float = 0.05) -> None:
+        self.now_s, self.step_s, self.air = start_s, step_s, Air(now_s=start_s)
         self.robots = {robot: ScriptedRobot(self, robot) for robot in LAB.ids}
         self.watched = watch(LAB, self.air.radio("operator"), lambda: self.now_s)
         self.listen = self.watched.listen
         self.watched.listen = self.pass_time
 
     def pass_time(self, timeout_s: float) -> None:
-        self.now_s += 0.05
+        self.now_s += self.step_s
         self.air.advance(self.now_s)
         for robot in self.robots.values():
             if not robot.frozen:
@@ -272,6 +274,54 @@ class TestSession:
             session.step("", 0.05)
         heard = [arrival.envelope for arrival in newcomer.fetch() if arrival.envelope.sender == "operator"]
         assert heard and all(envelope.latch.stopped for envelope in heard)
+
+    def test_sends_heartbeats_at_their_period(self) -> None:
+        """The clock starts at zero, and its times are exact in binary."""
+        team = ScriptedTeam(start_s=0.0, step_s=0.125)
+        session, _ = session_of(team, arms=False)
+        unit = Mailbox(
+            team.air.radio("unit/0"), LAB.model.team, "unit/0", lambda: team.now_s, ("heartbeat/**",)
+        )
+        for _ in range(9):
+            session.step("", 0.05)
+        team.air.advance(team.now_s)
+        sent_s = [one.envelope.sent_s for one in unit.fetch() if one.envelope.sender == "operator"]
+        assert sent_s == [0.125, 0.375, 0.625, 0.875, 1.125]
+
+    @pytest.mark.parametrize("step_s", [0.125, 0.7])
+    @pytest.mark.parametrize(("key", "word"), [("a", "armed"), (" ", "stopped")])
+    def test_command_of_key_ends_after_settle_time(self, key, word, step_s) -> None:
+        """Robot 5 is silent. A stop begins before messages are read, an arm command after."""
+        team = ScriptedTeam(step_s=step_s)
+        team.robots[5].frozen = True
+        session, lines = session_of(team, arms=False)
+        team.pass_time(0.0)
+        began_s = team.now_s + step_s * (key == "a")
+        session.step(key, 0.05)
+        while not lines and team.now_s < 1020:
+            session.step("", 0.05)
+        assert team.now_s - began_s == pytest.approx(math.ceil(SETTLE_S / step_s) * step_s)
+        assert lines == [f"{word}: 0, 1, 2, 3, 4", f"NOT {word}: robot 5: never heard"]
+
+    @pytest.mark.parametrize("key", ["A", "b", "x", "!", "~", "\r"])
+    def test_other_keys_have_no_effect(self, key) -> None:
+        team = ScriptedTeam()
+        session, lines = session_of(team, arms=False)
+        for _ in range(3):
+            session.step(key, 0.05)
+        session.step("", 0.05)
+        assert not lines and not any(robot.commands for robot in team.robots.values())
+
+    def test_run_on_another_machine_is_reported_once(self) -> None:
+        team = ScriptedTeam()
+        session, lines = session_of(team, arms=False)
+        session.step("", 0.05)
+        assert not lines
+        other = Mailbox(team.air.radio("session"), LAB.model.team, "session", lambda: team.now_s, ())
+        for _ in range(5):
+            other.send(Heartbeat({}, "runs the lab"))
+            session.step("", 0.05)
+        assert lines == ["another `live run` of this team runs on another machine: end one of them"]
 
 
 def test_silent_robot_is_reported_with_news_of_units() -> None:

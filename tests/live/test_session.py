@@ -1,19 +1,27 @@
 """Runs of a lab: refused input, the end of a run, keys and the supervisor."""
 
+import io
 import os
 import pty
 import sys
 import threading
 import time
 import tty
+from collections import deque
+from types import SimpleNamespace
 
 import pytest
 from command_line import call
+from rich.console import Console
 
 from skyherd.errors import InputError
 from skyherd.live.cameras import check_camera
-from skyherd.live.session import _keys
+from skyherd.live.lab import load_lab
+from skyherd.live.mailbox import Air, Mailbox
+from skyherd.live.operator import watch
+from skyherd.live.session import MAX_KEYS, _keys, _page, _windows_key, run_session
 from skyherd.live.supervisor import Child, Supervisor
+from skyherd.live.wire import Heartbeat
 
 
 @pytest.fixture(autouse=True)
@@ -38,10 +46,12 @@ class TestInput:
             ("--cameras", "", "the argument after --cameras: is empty; "),
             ("--cameras", "a.mp4, ", "--cameras: address 2 is empty; "),
             ("--cameras", "a.mp4", "--cameras: 1 addresses; 2, as in the lab"),
+            ("--cameras", "a.mp4,b.mp4,c.mp4", "--cameras: 3 addresses; 2, as in the lab"),
             ("--duration", "nan", "--duration: nan; a number of seconds above 0"),
             ("--duration", "inf", "--duration: inf; a number of seconds above 0"),
             ("--duration", "0", "--duration: 0; a number of seconds above 0"),
             ("--duration", "-5", "--duration: -5; a number of seconds above 0"),
+            ("--duration", "-0.5", "--duration: -0.5; a number of seconds above 0"),
         ],
     )
     def test_invalid_options_are_refused_before_start(
@@ -63,6 +73,7 @@ class TestInput:
             ([], "webcams: cameras.0.address: /dev/video70: no such camera; devices that are there: "),
             (["--cameras", "{0}/a.mp4,{0}/b.mp4"], "--cameras: address 1: {0}/a.mp4: "),
             (["--cameras", "tcp://127.0.0.1:9,{0}/notes.txt"], "--cameras: address 2: {0}/notes.txt: "),
+            (["--cameras", "tcp://127.0.0.1:9,notes.txt"], "--cameras: address 2: notes.txt: "),
             (["--cameras", "tcp://127.0.0.1:9,nothing"], "--cameras: address 2: no camera 'nothing'; "),
             (["--set", "robots.3.driver=foo"], "--set robots.3.driver: no driver 'foo'; "),
             (
@@ -76,6 +87,7 @@ class TestInput:
     ) -> None:
         monkeypatch.setattr("skyherd.live.session.ZenohRadio", None)
         (tmp_path / "notes.txt").write_text("no video")
+        monkeypatch.chdir(tmp_path)
         run = ["live", "run", "webcams", "--out", tmp_path / "run", "--set", "cameras.*.address=/dev/video70"]
         code, out, err = call(capsys, *run, *(option.format(tmp_path) for option in options))
         assert code == 2 and not out and len(err.splitlines()) == 1 and complaint.format(tmp_path) in err
@@ -149,6 +161,216 @@ def test_run_without_units_or_robots_ends_with_exit_code(
         assert len(printed) == len(lines) and all(map(str.startswith, printed, lines)), printed
 
 
+STREAMS = ["tcp://127.0.0.1:9", "tcp://127.0.0.1:9"]
+"""Addresses of cameras that are not opened before the processes of a run start."""
+
+
+class ScriptedRun:
+    """A run of the lab `webcams` with real child processes of other programs, and without other machines.
+
+    Attributes:
+        programs: command line of each process by its name; `cat`, which waits for the end, for all others.
+        survivors: names of processes that no signal reaches.
+        arguments: arguments of each process that was started, by name.
+        stops_s: times at which a stop was sent.
+        closed: how often the radio was closed.
+        said: lines for people.
+    """
+
+    def __init__(self, monkeypatch, folder) -> None:
+        self.folder, self.programs, self.survivors = folder, {}, ()
+        self.arguments, self.stops_s, self.closed, self.said = {}, [], 0, []
+        self.children = []
+        monkeypatch.setattr("skyherd.live.session.ZenohRadio", lambda *places, **options: self)
+
+    def publish(self, topic, data) -> None:
+        if "/stop/" in topic:
+            self.stops_s.append(time.monotonic())
+
+    def subscribe(self, pattern, take) -> None:
+        pass
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def run(self, *, ended=None, folder=..., **options) -> int:
+        limit_s = time.monotonic() + 8
+        given = {"cameras": STREAMS, "dry_run": False, "armed": False, "duration_s": None, "settings": []}
+        return run_session(
+            load_lab("webcams"),
+            "webcams",
+            self.folder if folder is ... else folder,
+            insecure=False,
+            say=self.said.append,
+            ended=ended or (lambda: time.monotonic() > limit_s),
+            **given | options,
+        )
+
+    @property
+    def log(self) -> str:
+        return (self.folder / "live.log").read_text()
+
+
+@pytest.fixture
+def scripted_run(monkeypatch, tmp_path):
+    run = ScriptedRun(monkeypatch, tmp_path / "run")
+
+    def add(supervisor, name, arguments) -> None:
+        run.arguments[name] = arguments
+        child = Child(name, run.programs.get(name, ["cat"]))
+        supervisor.take(child)
+        run.children.append(child)
+        if name in run.survivors:
+            child.process.terminate = child.process.kill = lambda: None
+
+    monkeypatch.setattr(Supervisor, "add", add)
+    yield run
+    for child in run.children:
+        if child.process is not None:
+            child.process.wait(10)
+
+
+@pytest.fixture
+def screen(monkeypatch):
+    """Return the text written to a terminal that replaces the standard output."""
+    monkeypatch.setenv("TERM", "xterm")
+    text = io.StringIO()
+    console = Console(file=text, force_terminal=True, width=100, height=40)
+    monkeypatch.setattr("skyherd.live.session.Console", lambda: console)
+    return text
+
+
+class TestRun:
+    def test_ends_when_its_duration_is_over(self, scripted_run) -> None:
+        began_s = time.monotonic()
+        assert scripted_run.run(duration_s=0.6) == 0
+        assert scripted_run.stops_s[0] - began_s >= 0.6
+        assert "interrupted" not in scripted_run.log
+
+    def test_interruption_stops_robots_and_ends_processes(self, scripted_run) -> None:
+        """The stop is sent at once, and repeated while the run waits for its confirmation."""
+        calls = iter([False, False])
+        assert scripted_run.run(ended=lambda: next(calls, True)) == 0
+        assert "interrupted; ending all processes" in scripted_run.log
+        assert len(scripted_run.stops_s) == 2
+        assert scripted_run.closed == 1
+        assert all(child.process is None and child.code is not None for child in scripted_run.children)
+        assert scripted_run.said[-1].startswith(f"recorded in {scripted_run.folder}; ")
+
+    def test_crashed_process_is_restarted(self, scripted_run, tmp_path, monkeypatch) -> None:
+        monkeypatch.setattr("skyherd.live.supervisor.FIRST_WAIT_S", 0.01)
+        mark = tmp_path / "started"
+        scripted_run.programs["robot/1"] = ["sh", "-c", f"test -e {mark} && exec cat; touch {mark}; exit 7"]
+        restarted = lambda: any(child.restarts for child in scripted_run.children)  # noqa: E731
+        assert scripted_run.run(ended=restarted) == 0
+        assert "robot/1   ended with code 7; restarts in" in scripted_run.log
+
+    @pytest.mark.parametrize("terminal", [False, True])
+    def test_surviving_process_is_named(self, scripted_run, request, monkeypatch, terminal) -> None:
+        if terminal:
+            request.getfixturevalue("screen")
+        monkeypatch.setattr("skyherd.live.supervisor.END_S", 0.1)
+        monkeypatch.setattr("skyherd.live.supervisor.KILL_S", 0.1)
+        scripted_run.survivors = ("robot/1", "unit/0")
+        assert scripted_run.run(ended=lambda: True) == 1
+        assert "still running: unit/0, robot/1" in scripted_run.said
+
+    def test_end_is_explained_once_on_a_terminal(self, scripted_run, screen) -> None:
+        scripted_run.programs = {"unit/0": ["sh", "-c", "exit 2"], "unit/1": ["true"]}
+        assert scripted_run.run() == 2
+        *lines, last = scripted_run.said
+        assert lines == ["no unit is left", "ended with code 2: unit/0; see live.log for the errors"]
+        assert last.startswith("recorded in ")
+
+    def test_dashboard_fills_a_terminal(self, scripted_run, screen) -> None:
+        limit_s, head = time.monotonic() + 8, "team table: 0 of 4 robots armed"
+        scripted_run.run(ended=lambda: head in screen.getvalue() or time.monotonic() > limit_s)
+        assert head in screen.getvalue() and "\x1b[?1049h" in screen.getvalue()
+
+    def test_end_is_explained_once_without_a_terminal(self, scripted_run) -> None:
+        scripted_run.programs = {"unit/0": ["true"], "unit/1": ["true"]}
+        assert scripted_run.run() == 0
+        assert sum("no unit is left" in line for line in scripted_run.said) == 1
+        assert not any("still running" in line for line in scripted_run.said)
+
+    def test_processes_receive_the_options(self, scripted_run) -> None:
+        scripted_run.run(cameras=["tcp://h:1", "tcp://h:2"], settings=["a=1"], ended=lambda: True)
+        common = ["--out", str(scripted_run.folder), "--supervised", "--set", "a=1"]
+        robots = {f"robot/{robot}": ["robot", "webcams", str(robot), *common] for robot in range(4)}
+        units = {
+            f"unit/{unit}": ["unit", "webcams", str(unit), "--camera", f"tcp://h:{unit + 1}", *common]
+            for unit in range(2)
+        }
+        assert scripted_run.arguments == units | robots
+
+    def test_default_folder_is_named_after_team(self, scripted_run, tmp_path, monkeypatch) -> None:
+        monkeypatch.chdir(tmp_path)
+        scripted_run.run(folder=None, ended=lambda: True)
+        (made,) = (tmp_path / "runs").iterdir()
+        assert made.name.startswith("table-2") and (made / "live.log").exists()
+
+    def test_existing_folder_is_refused(self, scripted_run) -> None:
+        scripted_run.folder.mkdir()
+        with pytest.raises(InputError, match=r"run: File exists; a folder that does not exist"):
+            scripted_run.run(ended=lambda: True)
+        assert scripted_run.closed == 1 and not scripted_run.arguments
+
+
+def test_dashboard_shows_state_of_each_process(tmp_path) -> None:
+    lab, air = load_lab("triangle"), Air()
+    watched = watch(lab, air.radio("operator"), lambda: 0.0)
+    beats = [
+        ("unit/0", Heartbeat({}, "5 images/s")),
+        ("robot/0", Heartbeat({}, "driving", "session", armed=True)),
+        ("robot/1", Heartbeat({}, "waiting", "session", armed=False)),
+        ("robot/3", Heartbeat({}, "first", "session", armed=False)),
+        ("robot/3", Heartbeat({}, "second", "session", armed=False)),
+    ]
+    senders = [
+        (Mailbox(air.radio(name), lab.model.team, name, lambda: 0.0, ()), beat) for name, beat in beats
+    ]
+    for _ in range(3):
+        for mailbox, beat in senders:
+            mailbox.send(beat)
+    air.advance(0.0)
+    watched.listen(0.0)
+    supervisor = Supervisor(tmp_path / "live.log")
+    restarts = {"unit/0": 0, "robot/0": 1, "robot/1": 3, "robot/2": 0, "robot/3": 0}
+    supervisor.children = [Child(name, [], count) for name, count in restarts.items()]
+    console = Console(file=io.StringIO(), width=100)
+    console.print(_page(lab, watched, supervisor, ["a line", "another"]))
+    supervisor.end()
+    head, *rows = [line.split() for line in console.file.getvalue().splitlines()]
+    assert " ".join(head) == "team triangle: 1 of 6 robots armed. a: arm space: STOP Ctrl-C: end"
+    assert rows == [
+        ["process", "starts", "armed", "state"],
+        ["unit/0", "1", "5", "images/s"],
+        ["robot/0", "2", "ARMED", "driving"],
+        ["robot/1", "4", "no", "waiting"],
+        ["robot/2", "1", "no", "heartbeat"],
+        ["robot/3", "1", "no", "two", "processes", "are", "named", "robot/3"],
+        ["a", "line"],
+        ["another"],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("typed", "key"), [("", ""), ("q", "q"), ("abq", "q"), ("x a", " "), (" ", " "), ("qqa", "a")]
+)
+def test_windows_console_returns_last_key_or_space(monkeypatch, typed, key) -> None:
+    waiting = deque(typed)
+    console = SimpleNamespace(kbhit=lambda: bool(waiting), getwch=waiting.popleft)
+    monkeypatch.setitem(sys.modules, "msvcrt", console)
+    assert _windows_key() == key and not waiting
+
+
+def test_windows_console_limits_keys_read_at_once(monkeypatch) -> None:
+    waiting = deque("q" * (2 * MAX_KEYS))
+    console = SimpleNamespace(kbhit=lambda: bool(waiting), getwch=waiting.popleft)
+    monkeypatch.setitem(sys.modules, "msvcrt", console)
+    assert _windows_key() == "q" and len(waiting) == MAX_KEYS
+
+
 @pytest.fixture
 def keyboard(monkeypatch):
     """Yield the typing end of a pseudo terminal that replaces the standard input."""
@@ -170,10 +392,13 @@ def test_space_bar_has_priority_among_keys(keyboard):
             (b" aa", " "),
             (b"qa", "a"),
             (b"aq", "q"),
+            (b"abq", "q"),
         ):
             os.write(keyboard, typed)
             assert key() == meant, typed
+            began_s = time.monotonic()
             assert key() == "", "all that was typed was read"
+            assert time.monotonic() - began_s < 0.9, "nothing waits for a key"
 
 
 class TestSupervisor:

@@ -1,5 +1,6 @@
 """`skyherd live run`: all processes of a lab on this machine, with one log and a dashboard."""
 
+import importlib
 import math
 import os
 import select
@@ -28,8 +29,8 @@ from skyherd.live.wire import Heartbeat
 from skyherd.live.zenoh_radio import ZenohRadio
 from skyherd.text import printable
 
-REFRESH_HZ = 4.0
-"""Refresh rate of the dashboard, Hz."""
+REFRESH_S = 0.25
+"""Longest wait for messages before keys are read again, s. Chosen: the refresh period of the dashboard."""
 
 MAX_KEYS = 1024
 """Largest number of keys read at once. Chosen: more than a person presses within a refresh period."""
@@ -53,7 +54,7 @@ def run_session(
     settings: Sequence[str],
     insecure: bool,
     say: Callable[[str], None],
-    ended: Callable[[], bool] = lambda: False,
+    ended: Callable[[], bool],
 ) -> int:
     """Run a lab until `ended()`, its duration is over, or no unit or no robot is left.
 
@@ -101,7 +102,7 @@ def run_session(
             with _keys() as key, _display(console if shows else None) as draw:
                 while not ended() and time.monotonic() < end_s and not _end_reason(supervisor):
                     supervisor.tend()
-                    session.step(key(), 1 / REFRESH_HZ)
+                    session.step(key(), REFRESH_S)
                     draw(_page(lab, watched, supervisor, lines))
             if ended():
                 supervisor.say("live", "interrupted; ending all processes")
@@ -112,9 +113,11 @@ def run_session(
                 supervisor.say("live", line)
             left = supervisor.end()
             radio.close()
-    closing_lines += [f"still running: {', '.join(left)}"] if left else []
-    for line in closing_lines if shows else []:
-        say(line)
+    if shows:  # Without a dashboard, these lines have been printed.
+        for line in closing_lines:
+            say(line)
+    if left:
+        say(f"still running: {', '.join(left)}")
     say(f"recorded in {folder}; `skyherd report {folder}` makes a report")
     return WRONG if supervisor.refused else int(bool(left))
 
@@ -132,9 +135,7 @@ class Session:
         arms: True while it waits for all robots to be ready.
     """
 
-    def __init__(
-        self, lab: Lab, watched: Watch, tell: Callable[[str, str], None], *, arms: bool = False
-    ) -> None:
+    def __init__(self, lab: Lab, watched: Watch, tell: Callable[[str, str], None], *, arms: bool) -> None:
         self.arms = arms
         self._lab, self._watched, self._tell = lab, watched, tell
         self._running: tuple[str, Command, float] | None = None
@@ -293,7 +294,7 @@ def _display(console: Console | None) -> Iterator[Callable[[Group], None]]:
     if console is None:
         yield lambda page: None
         return
-    with Live(console=console, refresh_per_second=REFRESH_HZ, screen=True) as live:
+    with Live(console=console, screen=True) as live:
         yield live.update
 
 
@@ -320,7 +321,7 @@ def _keys() -> Iterator[Callable[[], str]]:
         ready, _, _ = select.select([sys.stdin], [], [], 0)
         # os.read bypasses Python's buffer: select would not see keys that the buffer holds.
         keys = os.read(sys.stdin.fileno(), MAX_KEYS).decode(errors="replace") if ready else ""
-        return " " if " " in keys else keys[-1:]
+        return _chosen_key(keys)
 
     try:
         yield pressed
@@ -329,11 +330,14 @@ def _keys() -> Iterator[Callable[[], str]]:
 
 
 def _windows_key() -> str:
-    """Return the last key that was pressed at a Windows console since the last call, or the space bar."""
+    """Return the key pressed at a Windows console since the last call, or an empty string."""
+    msvcrt = importlib.import_module("msvcrt")
     keys = ""
-    if sys.platform == "win32":
-        import msvcrt
+    while msvcrt.kbhit() and len(keys) < MAX_KEYS:
+        keys += msvcrt.getwch()
+    return _chosen_key(keys)
 
-        while msvcrt.kbhit() and len(keys) < MAX_KEYS:
-            keys += msvcrt.getwch()
+
+def _chosen_key(keys: str) -> str:
+    """Return the space bar if it is among the keys, else the last key, or an empty string without keys."""
     return " " if " " in keys else keys[-1:]

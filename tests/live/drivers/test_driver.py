@@ -137,6 +137,61 @@ class TestRobotDriver:
         driver.close()
         assert wire.written[-1] == STILL and wire.closed == 1
 
+    def test_close_reports_blocked_link(self, monkeypatch) -> None:
+        monkeypatch.setattr("skyherd.live.drivers.driver.CLOSE_S", 0.05)
+        held, entered = threading.Event(), threading.Event()
+
+        class Stuck(Wire):
+            def write(self, motion):
+                entered.set()
+                held.wait(10)
+                super().write(motion)
+
+        wire = Stuck()
+        driver = RobotDriver(wire, robot_id=0, limits=FAST)
+        assert entered.wait(10)
+        with pytest.warns(RuntimeWarning, match="wire: blocks since 0.05 s; the robot may not have received"):
+            driver.close()
+        assert "may not have received zero" in driver.trouble
+        assert not wire.closed
+        held.set()
+        driver._thread.join(10)
+        driver.close()
+        assert wire.written[-3:] == [STILL] * 3 and wire.closed == 1 and driver.trouble is None
+
+    def test_wait_for_new_command_keeps_shortest_interval(self, rig) -> None:
+        """A quarter of the period always passes. A new command shortens only the rest."""
+        driver, _, _ = rig
+        waits = []
+
+        class RecordedEvent(threading.Event):
+            def wait(self, timeout=None):
+                waits.append(timeout)
+                return self.is_set()
+
+        driver._closing, driver._news = RecordedEvent(), RecordedEvent()
+        driver._news.set()
+        driver._await_news(2.0)
+        assert waits == [0.5, 1.5] and not driver._news.is_set()
+        driver._closing.set()
+        driver._await_news(2.0)
+        assert waits == [0.5, 1.5, 0.5], "the end of the driver is not delayed"
+
+    def test_acceleration_is_limited_by_time_between_writes(self) -> None:
+        wire, steps = Wire(), Steps()
+        steps.now_s = 1000.0
+        limits = SpeedLimits(speed_mps=10, turn_radps=10, acceleration_mps2=1.0, turn_acceleration_radps2=2.0)
+        driver = RobotDriver(
+            wire, robot_id=3, limits=limits, rate_hz=16, hold_s=9, clock=steps.clock, pause=steps.pause
+        )
+        steps.begin()
+        driver.send_motion(Motion(5.0, -5.0))
+        for _ in range(3):
+            steps.round()
+        steps.end()
+        driver.close()
+        assert wire.written[1:4] == [Motion(number / 16, -number / 8) for number in (1, 2, 3)]
+
     def test_new_command_is_written_immediately(self, monkeypatch) -> None:
         monkeypatch.setattr("skyherd.live.drivers.driver.MIN_SHARE", 0.0)
         came = threading.Event()
@@ -157,6 +212,8 @@ class TestRobotDriver:
         driver, _, _ = rig
         with pytest.raises(MessageError, match="expected 3 among them"):
             driver.send(VelocityCommand([1, 2], [0, 0], [0, 0]))
+        with pytest.raises(MessageError, match="expected 3 among them"):
+            driver.send(VelocityCommand([2, 7], [1, 1], [1, 1]))
 
 
 class TestFlight:

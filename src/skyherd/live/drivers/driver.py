@@ -2,12 +2,11 @@
 
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
 from typing import Self
-
-import numpy as np
 
 from skyherd.errors import InputError, MessageError
 from skyherd.live.drivers.limits import LIMITS, Limiter, SpeedLimits
@@ -92,12 +91,11 @@ class RobotDriver:
         Raises:
             MessageError: the command has no row for this robot.
         """
-        row = np.flatnonzero(command.ids == self.robot_id)
-        if not row.size:
-            raise MessageError(
-                f"VelocityCommand.ids: {command.ids.tolist()}, expected {self.robot_id} among them"
-            )
-        self.send_motion(Motion(command.v_mps[row[0]], command.omega_radps[row[0]]))
+        ids = command.ids.tolist()
+        if self.robot_id not in ids:
+            raise MessageError(f"VelocityCommand.ids: {ids}, expected {self.robot_id} among them")
+        row = ids.index(self.robot_id)
+        self.send_motion(Motion(command.v_mps[row], command.omega_radps[row]))
 
     def send_flight(self, command: FlightCommand) -> None:
         """Set the command to a flight command. The camera looks down, and the top of its image is ahead.
@@ -129,11 +127,19 @@ class RobotDriver:
         return self._trouble
 
     def close(self) -> None:
-        """Send zero and close the link. Further calls do nothing."""
+        """Send zero and close the link. Further calls do nothing.
+
+        If the link blocks for more than `CLOSE_S`, a `RuntimeWarning` and `trouble` report that zero may not
+        have arrived. An exception would replace the one that ends the caller's `with` statement.
+        """
         self._closing.set()
         self._news.set()
-        if self._thread is not threading.current_thread():
-            self._thread.join(CLOSE_S)
+        if self._thread is threading.current_thread():
+            return
+        self._thread.join(CLOSE_S)
+        if self._thread.is_alive():
+            self._trouble = f"{self.name}: blocks since {CLOSE_S:g} s; the robot may not have received zero"
+            warnings.warn(self._trouble, RuntimeWarning, stacklevel=2)
 
     def __enter__(self) -> Self:
         return self

@@ -226,7 +226,7 @@ class Composer:
         cost, scale = (box.of(self._canvas) for box in layout.plots)
         return (
             CurvePanel(cost, "cost V, m²", [Curve("total", rgb(INK), 4), *units], duration_s, log=True),
-            CurvePanel(scale, "scale of each unit's shape, m per template unit", units, duration_s),
+            CurvePanel(scale, "scale, m per template unit", units, duration_s),
         )
 
     def _draw_header(self, step: Step) -> None:

@@ -18,10 +18,10 @@ from skyherd.datasets.configuration.start import coincident, start_headings, sta
 from skyherd.datasets.configuration.template_image import read_template_image
 from skyherd.datasets.configuration.toml_files import apply_settings, built_in_names
 from skyherd.datasets.configuration.validation import check_tree, locate
-from skyherd.datasets.shapes.shapes import shape_points
+from skyherd.datasets.shapes.shapes import shape_outline, shape_points
 from skyherd.errors import DegenerateSetError, InputError, ProblemCollector, join_errors
 from skyherd.files.images import Grey, read_grey
-from skyherd.geometry import Array, IntArray, to_points
+from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
 from skyherd.markers.dictionary import dictionary_size
 from skyherd.messages.checks import check_kind
 from skyherd.random_streams import RunStream, generator
@@ -77,6 +77,19 @@ class Mission:
         """Return the shape to form at a time, s; its points are in the order of the roles (N,)."""
         shape = self.schedule.at(time_s)
         return Template(shape.ids, shape.points_px[roles])
+
+    @cached_property
+    def outlines(self) -> tuple[tuple[ComplexArray, ...], ...]:
+        """Lines of each shape, polylines (M,) in image sense, in the template's units."""
+        models = (self.scenario.template, *self.scenario.template.then)
+        shapes = (self.template, *(shape for _, shape in self.later))
+        return tuple(_outline(model, shape) for model, shape in zip(models, shapes, strict=True))
+
+    def outline_at(self, time_s: float) -> tuple[ComplexArray, ...]:
+        """Return the lines of the shape to form at a time, s, in image sense; empty if it has none."""
+        shape = self.schedule.at(time_s)
+        shapes = (self.template, *(later for _, later in self.later))
+        return next(lines for own, lines in zip(shapes, self.outlines, strict=True) if own is shape)
 
     @cached_property
     def bodies(self) -> Bodies:
@@ -235,10 +248,12 @@ def _team(scenario: Scenario, folder: Path, rng: np.random.Generator) -> _Team:
     problems, later = ProblemCollector(), []
     with problems.collecting():
         _check_template(ids, template, "template")
+        _check_outline(scenario.template, template, "template")
     for number, shape in enumerate(scenario.template.then):
         with problems.collecting():
             made = _template(shape, scenario.robots, dictionary, folder, f"template.then.{number}")
             _check_template(ids, made, f"template.then.{number}")
+            _check_outline(shape, made, f"template.then.{number}")
             later.append((shape.at_s, made))
     with problems.collecting():
         _check_classes(scenario, ids)
@@ -281,6 +296,23 @@ def _template(
         return Template.from_ground_points(ids, points)
     except DegenerateSetError as error:
         raise InputError(where, str(error), "at least two distinct points") from None
+
+
+def _outline(model: ShapeModel, template: Template) -> tuple[ComplexArray, ...]:
+    """Return the lines of a shape in image sense; none if the file gives neither lines nor a name."""
+    if model.outline is not None:
+        return tuple(template.points_of(np.array(ids)) for ids in model.outline)
+    if model.shape is None:
+        return ()
+    lines = shape_outline(model.shape, template.ids.size)
+    return tuple(to_complex(line).conj() for line in lines)
+
+
+def _check_outline(model: ShapeModel, template: Template, where: str) -> None:
+    unknown = np.setdiff1d([robot for line in model.outline or [] for robot in line], template.ids)
+    if unknown.size:
+        what = f"no point for robot(s) {unknown.astype(int).tolist()}"
+        raise InputError(f"{where}.outline", what, "ids of the shape's robots")
 
 
 def _named_shape(name: str, count: int, where: str) -> Array:

@@ -19,7 +19,7 @@ from skyherd.datasets.configuration.fields import (
     Positive,
     Seed,
 )
-from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleModel, RobotsModel
+from skyherd.datasets.configuration.robot_models import MarkerId, MarkerModel, ObstacleModel, RobotsModel
 from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.configuration.unit_models import UnitModel
 from skyherd.datasets.configuration.validation import shown
@@ -42,6 +42,13 @@ class ShapeModel(Model):
     )
     image: str | None = Field(
         None, description="picture with every robot's marker in it, relative to the scenario's folder"
+    )
+
+    outline: list[Annotated[list[MarkerId], Field(min_length=2, max_length=MAX_ROBOTS)]] | None = Field(
+        None,
+        max_length=MAX_ROBOTS,
+        description="lines drawn in the video: each the ids of the robots whose points it joins. A named "
+        "shape has its own lines if left out, points and pictures have none",
     )
 
     @model_validator(mode="after")
@@ -205,6 +212,20 @@ class GoalModel(Model):
     )
 
 
+class VideoModel(Model):
+    """Speed and end of the video."""
+
+    end: Literal["held", "run"] = Field(
+        "held",
+        description="end of the video: `after_s` after the shape has been held for `goal.hold_s`, or with "
+        "the run. If the shape is lost, the video goes on. It shows every change of shape, outage and zoom",
+    )
+    after_s: NotNegative = Field(3.0, description="s; simulated time shown after the shape is held")
+    speed: Annotated[FiniteFloat, Field(ge=0.1, le=1000)] = Field(
+        4.0, description="simulated seconds in each second of the video"
+    )
+
+
 class Scenario(Model):
     """Scenario file: all inputs of a run."""
 
@@ -251,6 +272,7 @@ class Scenario(Model):
     )
     obstacles: list[ObstacleModel] = Field(default=[], max_length=1000, description="static round bodies")
     goal: GoalModel = Field(GoalModel(), description="criterion of convergence")
+    video: VideoModel = Field(VideoModel(), description="speed and end of the video")
 
     @property
     def obstacles_by_id(self) -> list[ObstacleModel]:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from skyherd.datasets.shapes.words import PREFIX, word_points
+from skyherd.datasets.shapes.words import PREFIX, word_outline, word_points
 from skyherd.errors import InputError
 from skyherd.geometry import Array
 from skyherd.messages.checks import check_count, check_kind
@@ -16,6 +16,9 @@ STAR_INNER_RATIO = 0.515
 MIN_STAR = 6
 """Minimum number of robots of a star. Derived: three tips and three notches."""
 
+
+CIRCLE_SIDES = 120
+"""Number of sides of the polygon that is drawn as a circle. Chosen: within 0.04 % of the radius."""
 
 MAX_POINTS = 10_000
 """Maximum number of points of a shape. Chosen: the maximum number of robots of a scenario."""
@@ -69,6 +72,29 @@ def triangle(count: int) -> Array:
     return np.column_stack([points.real, points.imag])
 
 
+def _closed(points: Array) -> list[Array]:
+    """Return the polygon through points (N, 2) as one closed polyline."""
+    return [np.concatenate([points, points[:1]])]
+
+
+def _grid_lines(count: int) -> list[Array]:
+    """Return the rows and the columns of the grid of `count` points."""
+    points = grid(count)
+    rows = int(np.unique(points[:, 1]).size)
+    lattice = points.reshape(rows, -1, 2)
+    lines = [*lattice, *lattice.swapaxes(0, 1)]
+    return [line for line in lines if len(line) > 1]
+
+
+OUTLINES: dict[str, Callable[[int], list[Array]]] = {
+    "circle": lambda count: _closed(circle(CIRCLE_SIDES)),
+    "grid": _grid_lines,
+    "line": lambda count: [line(count)],
+    "star": lambda count: _closed(star(count)),
+    "triangle": lambda count: _closed(triangle(count)),
+}
+"""Functions from a number of robots to the outline of a shape, by the shape's name."""
+
 SHAPES: dict[str, Callable[[int], Array]] = {
     "circle": circle,
     "grid": grid,
@@ -93,3 +119,17 @@ def shape_points(name: str, count: int) -> Array:
     if name not in SHAPES:
         raise InputError("template.shape", f"no shape {name!r}", f"{one_of(name, SHAPES)}, {PREFIX}SKY")
     return SHAPES[name](count)
+
+
+def shape_outline(name: str, count: int) -> list[Array]:
+    """Return the lines of a named shape or word as polylines (M, 2), in the frame of `shape_points`.
+
+    A word has the strokes of its letters, which no line connects.
+
+    Raises:
+        InputError: as in `shape_points`.
+    """
+    shape_points(name, count)
+    if name.startswith(PREFIX):
+        return word_outline(name.removeprefix(PREFIX))
+    return OUTLINES[name](count)

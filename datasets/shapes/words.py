@@ -98,6 +98,11 @@ def word_points(text: str, count: int) -> Array:
     return to_points(points)
 
 
+def word_outline(text: str) -> list[Array]:
+    """Return the strokes of a word's letters as polylines (M, 2), in the frame of `word_points`."""
+    return [to_points(stroke.curve) for stroke in _strokes(text)[0]]
+
+
 def _strokes(text: str) -> tuple[list[Stroke], ComplexArray]:
     """Return the strokes of a word, and the points where they begin and end."""
     curves, joints, left = [], np.zeros(0, dtype=np.complex128), 0.0

@@ -49,11 +49,11 @@ class Film:
 
 
 FILMS = {
-    "star": Film(frames=200, share=0.40),
+    "star": Film(frames=200, share=1.0),
     "letters": Film(frames=280, share=1.0),
-    "tree": Film(frames=240, share=0.60),
-    "crowd": Film(frames=200, share=0.45),
-    "handheld": Film(frames=200, share=0.50),
+    "tree": Film(frames=240, share=1.0),
+    "crowd": Film(frames=200, share=1.0),
+    "handheld": Film(frames=200, share=1.0),
 }
 """The scenarios of the gallery. Chosen: a film ends soon after its formation is complete."""
 

@@ -94,7 +94,7 @@ def test_killed_process_is_reported_and_leaves_nothing(steps, tmp_path):
 
 def test_unused_frames_are_not_sent(steps, tmp_path, monkeypatch):
     sent = []
-    monkeypatch.setattr(recorder._FilmBeside, "add", lambda self, step: sent.append(step.time_s))
+    monkeypatch.setattr(recorder._FilmBeside, "add", lambda self, step, copies: sent.append(step.time_s))
     with pytest.raises(OutputError, match="no frames"):
         film(steps, tmp_path / "video.mp4", beside=True)
     assert sent == pytest.approx([0, 0.2, 0.4, 0.6, 0.8, 1.0, 1.2])

@@ -4,9 +4,11 @@ Only this module compares goals with the true cameras and robot positions. Repor
 does not.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from skyherd.control import Decision, fit_similarity
+from skyherd.control import Decision, Template, fit_similarity
 from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import Array, ComplexArray, IntArray, apply_homography, inverse, to_complex, to_points
 from skyherd.loop import UnitFrame
@@ -35,6 +37,33 @@ def desired_points_px(decision: Decision) -> Array:
     if decision.ground_map.ideal:
         return desired_px
     return decision.ground_map.image_px(desired_px, decision.detections.image_size_px)
+
+
+def outline_px(decision: Decision, template: Template, lines: Sequence[ComplexArray]) -> list[Array]:
+    """Return the lines of a unit's desired shape as polylines (M, 2), px, in the camera's original image.
+
+    The similarity from the template to the unit's desired points maps the lines, so that they show the unit's
+    knowledge only.
+
+    Args:
+        decision: the unit's decision.
+        template: the shape, its points assigned to the robots.
+        lines: polylines (M,) of the shape, in the template's units and sense.
+
+    Returns:
+        no lines for fewer than two goals, or goals that define no similarity.
+    """
+    if decision.goals is None or decision.goals.ids.size < 2:
+        return []
+    desired = to_complex(rectified_goals_px(decision))
+    try:
+        fit = fit_similarity(template.points_of(decision.goals.ids), desired)
+    except DegenerateSetError:
+        return []
+    fitted = [to_points(fit(line)) for line in lines]
+    if decision.ground_map.ideal:
+        return fitted
+    return [decision.ground_map.image_px(line, decision.detections.image_size_px) for line in fitted]
 
 
 def rows_of(robots: Detections, ids: IntArray) -> IntArray:

@@ -12,6 +12,7 @@ from scipy.spatial.distance import pdist
 from skyherd.analysis.dwell_time import estimate_dwell_time
 from skyherd.analysis.history import History
 from skyherd.analysis.shortest_paths import shortest_path
+from skyherd.analysis.verdict import explain_failure
 from skyherd.datasets import Scenario
 from skyherd.geometry import ComplexArray, IntArray, to_complex, to_points
 from skyherd.messages import TIME_TOLERANCE_S
@@ -74,6 +75,7 @@ def _course(history: History, wall_s: float | None) -> dict[str, Any]:
     return {
         "converged": held_to_the_end(history),
         "reached_s": reached_s(history),
+        "verdict": None if held_to_the_end(history) else explain_failure(history),
         "complete": wall_s is not None,
         "simulated_s": simulated_s,
         "real_time_factor": per_wall(simulated_s),

@@ -150,6 +150,8 @@ def _say_result(summary: dict[str, Any], folder: Path) -> None:
         f"shape {verdict}: error {summary['shape_error']:.2g}, scale {summary['scale']:.4g} m a unit,"
         f" V {summary['V_start']:.4g} → {summary['V_end']:.3g} m²"
     )
+    if summary["verdict"]:
+        say(summary["verdict"])
     say(
         f"{summary['steps']} steps, {summary['frames']} images, "
         f"recall {'–' if recall is None else format(recall, '.2%')}, "

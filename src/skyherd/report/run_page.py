@@ -92,7 +92,8 @@ def _status(summary: Mapping[str, object], planned_s: float) -> str:
     if not summary["complete"]:
         lasted = value_text(Field("simulated_s", "", "s"), summary["simulated_s"])
         return f"Cut short after {lasted} of {number_text(planned_s)} s; until then, {formed}."
-    return f"{'Converged' if summary['converged'] else 'Not converged'}: {formed} to the end."
+    reason = f" Cause: {summary['verdict']}." if summary.get("verdict") else ""
+    return f"{'Converged' if summary['converged'] else 'Not converged'}: {formed} to the end.{reason}"
 
 
 def _tables(summary: Mapping[str, object]) -> list[SummaryTable]:

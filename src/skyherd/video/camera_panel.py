@@ -1,5 +1,7 @@
 """Panel of one aerial unit: its camera image, the robots in it, and their desired points."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -39,6 +41,9 @@ FOREIGN: Color = (78, 83, 90)
 
 CLEAR_SIDES = 0.95
 """Radius of the empty area around an obstacle's centre, in marker sides: its marker and card."""
+
+OUTLINE_PX = 2
+"""Width of the outline of the desired shape, px."""
 
 RING_PX = 4
 """Distance from a robot's ring to the outer ring of the units that share it, px."""
@@ -109,13 +114,20 @@ class CameraPanel:
         """Map points (..., 2) of the camera's image to the panel."""
         return np.asarray((points_px + 0.5) * self.scale - 0.5)
 
-    def draw(self, frame: UnitFrame, sets: ControlSets, struck: frozenset[int] = frozenset()) -> None:
-        """Draw a frame: picture, rings, bodies, goals and ids.
+    def draw(
+        self,
+        frame: UnitFrame,
+        sets: ControlSets,
+        struck: frozenset[int] = frozenset(),
+        outline_px: Sequence[Array] = (),
+    ) -> None:
+        """Draw a frame: picture, outline, rings, bodies, goals and ids.
 
         Args:
             frame: the unit's image and decision.
             sets: robots controlled by each unit, by unit.
             struck: ids of robots and obstacles whose bodies overlap.
+            outline_px: lines (M, 2) of the unit's desired shape in its image.
         """
         if self._is_dead:
             self._show_nothing(self.color)
@@ -131,6 +143,9 @@ class CameraPanel:
         color = rgb(MUTED if plain else PAPER)
         draw_lines(self._picture, self._seen_circle(frame), color, 2)
         self._draw_obstacles(seen.select(stones), struck)
+        lines = [self.to_panel(line) for line in outline_px]
+        draw_lines(self._picture, lines, rgb(PAPER), OUTLINE_PX + 2)
+        draw_lines(self._picture, lines, rgb(TEMPLATE_COLOR), OUTLINE_PX)
         self._draw_marks(robots, {**sets, self.unit: controlled})
         self._draw_bodies(robots, struck, color)
         self._draw_goals(frame)

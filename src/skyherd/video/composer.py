@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skyherd.analysis.goal_points import outline_px
 from skyherd.analysis.tree_snapshot import TreeHistory
 from skyherd.datasets import Mission
 from skyherd.drawing.canvas import Box, draw_text, text_width
@@ -202,8 +203,11 @@ class Composer:
             self._last.pop(unit, None)
             self._cameras[unit].draw_dead()
         struck = overlapping_ids(self.mission, step.positions_m)
+        shape = self.mission.shape_at(step.time_s, step.roles)
+        lines = self.mission.outline_at(step.time_s)
         for unit, frame in self._last.items():
-            self._cameras[unit].draw(frame, step.control_sets, struck)
+            outline = outline_px(frame.decision, shape, lines)
+            self._cameras[unit].draw(frame, step.control_sets, struck, outline)
             if self._rectified:
                 self._rectified[unit].draw(frame)
         self._ground.draw(step, self._tree.add(step, dead), struck)
@@ -222,7 +226,7 @@ class Composer:
         cost, scale = (box.of(self._canvas) for box in layout.plots)
         return (
             CurvePanel(cost, "cost V, m²", [Curve("total", rgb(INK), 4), *units], duration_s, log=True),
-            CurvePanel(scale, "scale of each unit's shape, m per template unit", units, duration_s),
+            CurvePanel(scale, "scale, m per template unit", units, duration_s),
         )
 
     def _draw_header(self, step: Step) -> None:

@@ -1,7 +1,6 @@
 """Panel of the ground from above: true positions of robots and units, fields of view, shape."""
 
 import numpy as np
-from scipy.spatial.distance import pdist, squareform
 
 from skyherd.analysis.tree_snapshot import TreeSnapshot
 from skyherd.control import fit_similarity, owners_by_robot
@@ -52,23 +51,24 @@ EXCHANGE_S = 2.0
 MIN_EXTENT_M = 1e-3
 """Minimum extent of the view, m, so that a single static robot has one."""
 
-MARGIN_PX = 16.0
-"""Minimum distance of robots and units from the edge of the map, px."""
+MARGIN = 0.1
+"""Margin around the robots and their shape, as a share of the map. Chosen: holds marks and names."""
 
-SPACING_PX = 64.0
-"""Minimum median distance of neighbouring robots, px, at which the view still widens to show all fields of
-view."""
+CLOSER = 1.3
+"""Enlargement from which the view moves closer. Chosen: rarer moves, and the robots fill 3/4 of the map."""
 
+FOLLOWING = 0.15
+"""Share of the way to its aim by which the view moves in a frame. Chosen: it arrives within a second."""
 
-def _spacing_m(positions_m: Array) -> float:
-    """Return the median distance from a robot to its nearest neighbour for positions (N, 2)."""
-    distances = squareform(pdist(positions_m))
-    np.fill_diagonal(distances, np.inf)
-    return float(np.median(distances.min(axis=1)))
+SETTLED_PX = 1.0
+"""Distance from its aim at which the view rests, px. Chosen: not visible."""
+
+OUTLINE_PX = 3
+"""Width of the shape's outline, px. Chosen: visible in a video shown 390 px wide."""
 
 
 class GroundPanel:
-    """Drawing of steps into a panel of the canvas; the view widens when a robot or a unit would leave it.
+    """Drawing of steps into a panel of the canvas; the view follows the robots and their shape.
 
     Args:
         mission: mission of the run.
@@ -88,6 +88,7 @@ class GroundPanel:
         self._paper = np.empty_like(self._field)
         self._past_m: list[Array] = []
         self._center_m, self._px_per_m = np.zeros(2), 0.0
+        self._aim_m, self._aim_px_per_m = np.zeros(2), 0.0
         self._roles, self._exchanged_s = np.arange(mission.ids.size), np.full(mission.ids.size, -np.inf)
         self._label_sides = [0] * len(self._cameras)
         self._tree = TreeOverlay(mission.ids)
@@ -111,18 +112,19 @@ class GroundPanel:
         self._write_title(tree)
         corners_m = [footprint_m(c, step.fleet.pose(u)) for u, c in enumerate(self._cameras)]
         self._past_m.append(np.concatenate([step.positions_m, step.fleet.positions_m]))
-        if not self._in_view(self._past_m[-1]):
-            self._fit(corners_m)
-        self._extend_paths(self._past_m[-2:])
+        shape_m = self._shape_m(step)
+        if self._follow(np.concatenate([step.positions_m, *shape_m])):
+            self._draw_paper()
+        else:
+            self._extend_paths(self._past_m[-2:])
         self._field[:] = self._paper
         self._draw_bodies(step, struck)
         self._draw_tails(step.positions_m.shape[0])
         dead = frozenset[int]() if tree is None else tree.dead
         for unit, corners in enumerate(corners_m):
             if unit not in dead:
-                width_px = 2 if tree is None else 1
-                draw_lines(self._field, [self.to_panel(corners)], unit_rgb(unit), width_px, closed=True)
-        self._draw_shape(step)
+                draw_lines(self._field, [self.to_panel(corners)], unit_rgb(unit), closed=True)
+        self._draw_shape(step, shape_m)
         if tree is not None:
             units, robots = self.to_panel(step.fleet.positions_m), self.to_panel(step.positions_m)
             self._tree.draw_edges(self._field, tree, units, robots, step.time_s)
@@ -140,28 +142,28 @@ class GroundPanel:
         right = self._title.shape[1] - 2, TITLE_PX / 2
         draw_text(self._title, state, right, rgb(INK), size_px=STATE_SIZE_PX, bold=True, align="right")
 
-    def _in_view(self, points_m: Array) -> bool:
-        if self._px_per_m == 0:
-            return False
-        places = self.to_panel(points_m)
-        limit = np.array([self._field.shape[1], self._field.shape[0]]) - MARGIN_PX
-        return bool(((places >= MARGIN_PX) & (places <= limit)).all())
+    def _follow(self, points_m: Array) -> bool:
+        """Move the view towards one that frames points (N, 2), and return whether it moved.
 
-    def _fit(self, corners_m: list[Array]) -> None:
-        """Choose the view: all moving objects with a margin, and footprints as far as they fit."""
-        room = np.array([self._field.shape[1], self._field.shape[0]]) - 2 * MARGIN_PX
-        past = np.concatenate(self._past_m)
-        low, high = past.min(axis=0), past.max(axis=0)
-        middle, least = (low + high) / 2, 0.55 * np.maximum(high - low, MIN_EXTENT_M)
-        most = np.maximum(
-            least, room * _spacing_m(self._past_m[-1][: self.mission.ids.size]) / SPACING_PX / 2
-        )
-        seen = np.concatenate([past, *corners_m, self.mission.obstacle_positions_m])
-        low = seen.min(axis=0).clip(middle - most, middle - least)
-        high = seen.max(axis=0).clip(middle + least, middle + most)
-        self._center_m = (low + high) / 2
-        self._px_per_m = float((room / (high - low)).min())
-        self._draw_paper()
+        The aim changes only when a point nears the edge or the points fill too little, so that the view rests
+        most of the time.
+        """
+        room = np.array([self._field.shape[1], self._field.shape[0]], dtype=float)
+        low, high = points_m.min(axis=0), points_m.max(axis=0)
+        extent_m = np.maximum(high - low, MIN_EXTENT_M)
+        px_per_m = float((room * (1 - 2 * MARGIN) / extent_m).min())
+        edge_m = room * (0.5 - MARGIN / 2) / self._aim_px_per_m if self._aim_px_per_m else np.zeros(2)
+        is_inside = bool((np.abs(np.stack([low, high]) - self._aim_m) <= edge_m).all())
+        if not is_inside or px_per_m > CLOSER * self._aim_px_per_m:
+            self._aim_m, self._aim_px_per_m = (low + high) / 2, px_per_m
+        before = self._center_m, self._px_per_m
+        share = FOLLOWING if self._px_per_m else 1.0
+        self._center_m = self._center_m + share * (self._aim_m - self._center_m)
+        self._px_per_m += share * (self._aim_px_per_m - self._px_per_m)
+        is_near = np.abs(self._aim_m - self._center_m).max() * self._aim_px_per_m < SETTLED_PX
+        if is_near and abs(self._aim_px_per_m / self._px_per_m - 1) * room.max() < SETTLED_PX:
+            self._center_m, self._px_per_m = self._aim_m, self._aim_px_per_m
+        return bool((before[0] != self._center_m).any()) or before[1] != self._px_per_m
 
     def _draw_paper(self) -> None:
         """Draw grid, axes, and the paths so far in the new view."""
@@ -196,17 +198,24 @@ class GroundPanel:
             recent = np.array(self._past_m[-steps:])[:, :robots]
             draw_lines(self._field, np.moveaxis(self.to_panel(recent), 0, 1), color)
 
-    def _draw_shape(self, step: Step) -> None:
-        """Draw each robot's point in the current best-fitting shape, and the way there."""
+    def _shape_m(self, step: Step) -> list[Array]:
+        """Return the robots' points (N, 2) in the best-fitting shape, m, and then the shape's lines."""
+        template = self.mission.shape_at(step.time_s, step.roles).points_of(self.mission.ids).conj()
+        try:
+            fit = fit_similarity(template, to_complex(step.positions_m))
+        except DegenerateSetError:
+            return []
+        lines = (line.conj() for line in self.mission.outline_at(step.time_s))
+        return [to_points(fit(points)) for points in (template, *lines)]
+
+    def _draw_shape(self, step: Step, shape_m: list[Array]) -> None:
+        """Draw the lines of the best-fitting shape, each robot's point in it, and the way there."""
         self._exchanged_s[step.roles != self._roles] = step.time_s
         self._roles = step.roles
-        shape = self.mission.shape_at(step.time_s, step.roles)
-        template = shape.points_of(self.mission.ids).conj()
-        positions = to_complex(step.positions_m)
-        try:
-            places = self.to_panel(to_points(fit_similarity(template, positions)(template)))
-        except DegenerateSetError:
+        if not shape_m:
             return
+        draw_lines(self._field, map(self.to_panel, shape_m[1:]), rgb(TEMPLATE_COLOR), OUTLINE_PX)
+        places = self.to_panel(shape_m[0])
         robots, is_new = self.to_panel(step.positions_m), step.time_s < self._exchanged_s + EXCHANGE_S
         draw_segments(self._field, *dashes(robots, places), rgb(TEMPLATE_COLOR))
         draw_segments(self._field, *dashes(robots[is_new], places[is_new]), rgb(TEMPLATE_COLOR), 3)

@@ -17,9 +17,6 @@ FPS = 20
 """Frames per second of the video. Chosen: at half of it robots jump visibly; twice as many take twice the
 time to draw and show nothing new."""
 
-SPEED = 4
-"""Simulated seconds per second of the video. Chosen: a mission of a minute takes 15 s to watch."""
-
 NICENESS = 19
 """Niceness of the drawing process. *Chosen*: the lowest priority, so that it uses cores that the loop leaves.
 *Measured* on two cores: 40 s of `star` take 16.5 to 17.1 s, without it 19.1 to 22.4 s."""
@@ -30,7 +27,9 @@ fewer the loop waits more often for slow frames."""
 
 
 class VideoRecorder(ExitStack):
-    """A `skyherd.recording.writer.Recorder` that makes an MP4 file, a frame each `SPEED / FPS` seconds.
+    """A `skyherd.recording.writer.Recorder` that makes an MP4 file, a frame each `video.speed / FPS` seconds.
+
+    With `video.end = "held"`, no frame shows a shape that has been held for longer than `video.after_s`.
 
     The file is complete after the context is exited without an exception; else nothing is left of it.
 
@@ -49,13 +48,35 @@ class VideoRecorder(ExitStack):
         self._film: _Film | _FilmBeside
         self._film = _FilmBeside(mission, path) if beside and can_help() else _Film(mission, path)
         self.enter_context(self._film)
-        self._next_s = 0.0
+        self._next_s, self._frame_s = 0.0, mission.scenario.video.speed / FPS
+        self._ending = _Ending(mission)
 
     def write(self, step: Step) -> None:
-        """Have a frame of the step composed and appended, if one is due."""
-        if step.time_s >= self._next_s - TIME_TOLERANCE_S:
-            self._film.add(step)
-            self._next_s += SPEED / FPS
+        """Have the frames of the step that are due composed and appended."""
+        due = int((step.time_s - self._next_s + TIME_TOLERANCE_S) // self._frame_s) + 1
+        self._next_s += max(due, 0) * self._frame_s
+        if self._ending.shows(step) and due > 0:
+            self._film.add(step, due)
+
+
+class _Ending:
+    """Rule of the scenario's table `video` on the end of the video."""
+
+    def __init__(self, mission: Mission) -> None:
+        scenario = mission.scenario
+        self._goal, self._rule, self._since_s = scenario.goal, scenario.video, 0.0
+        changes_s = [at_s for at_s, _ in mission.later]
+        for unit in scenario.units:
+            changes_s += [time_s for outage in unit.outages for time_s in outage]
+            changes_s += [time_s for time_s, _ in unit.zoom]
+        self._least_s = max((time_s for time_s in changes_s if time_s <= scenario.duration_s), default=0.0)
+
+    def shows(self, step: Step) -> bool:
+        """Return whether the video shows a step; called with all steps in the order of time."""
+        if not step.metrics.shape.error < self._goal.shape_error:
+            self._since_s = step.time_s
+        held_from_s = max(self._since_s, self._least_s) + self._goal.hold_s
+        return self._rule.end == "run" or step.time_s <= held_from_s + self._rule.after_s + TIME_TOLERANCE_S
 
 
 class _Film(ExitStack):
@@ -70,9 +91,11 @@ class _Film(ExitStack):
         self._composer = Composer(mission)
         self.sink = self.enter_context(VideoSink(path, self._composer.size_px, FPS))
 
-    def add(self, step: Step) -> None:
-        """Compose a frame of the step and append it."""
-        self.sink.write(self._composer.compose(step))
+    def add(self, step: Step, copies: int) -> None:
+        """Compose a frame of the step and append it as often as `copies`."""
+        picture = self._composer.compose(step)
+        for _ in range(copies):
+            self.sink.write(picture)
 
 
 class _FilmBeside(ExitStack):
@@ -90,11 +113,11 @@ class _FilmBeside(ExitStack):
             self._part = self._helper.answer()
             self.push(stack.pop_all())
 
-    def add(self, step: Step) -> None:
+    def add(self, step: Step, copies: int) -> None:
         """Have a frame of the step composed and appended; wait if too many are pending."""
         while self._unanswered and self._helper.answered():
             self._take_answer()
-        self._helper.ask(step)
+        self._helper.ask((step, copies))
         self._unanswered += 1
 
     def __exit__(
@@ -130,14 +153,14 @@ class _Studio:
     def __init__(self, mission: Mission, path: Path) -> None:
         self._mission, self._path = mission, path
 
-    def serve(self, request: Step | str) -> Path | None:
+    def serve(self, request: tuple[Step, int] | str) -> Path | None:
         """Begin the film and return the name of its temporary file; add a step to it; or end it."""
         if request == _BEGIN:
             os.nice(NICENESS)  # The encoder's threads start later and inherit it.
             self._film = _Film(self._mission, self._path)
             return self._film.sink.part
-        if isinstance(request, Step):
-            self._film.add(request)
+        if isinstance(request, tuple):
+            self._film.add(*request)
         else:
             self._film.close()
         return None

@@ -24,9 +24,10 @@ from skyherd.control.formation.schedule import Schedule
 from skyherd.control.formation.size import SideConsensus, SizeRule
 from skyherd.control.formation.template import Template
 from skyherd.control.goals import lyapunov_term, motion_goals
+from skyherd.control.identities import AmbiguousIds
 from skyherd.control.policy import FlightLaw, FlightTask, Selection, SelectionPolicy
 from skyherd.control.rectification.ground_map import GroundMap
-from skyherd.control.rectification.rectifier import Rectifier
+from skyherd.control.rectification.rectifier import Rectifier, rectified
 from skyherd.control.team_clock import TeamClock
 from skyherd.errors import DegenerateSetError
 from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, shared_ids
@@ -38,7 +39,8 @@ class Decision:
     """Decision of a unit after one image.
 
     Attributes:
-        detections: detections of the decision: all markers of the image, rectified if the unit rectifies.
+        detections: detections of the decision: all markers of the image without ambiguous ids, rectified if
+            the unit rectifies.
         goals: goals for its robots; None if too few robots are visible for a shape, or if robots may not move
             yet.
         report: report to the other units.
@@ -58,9 +60,9 @@ class Decision:
 class AerialController:
     """Controller that steers the robots of one unit from its detections and the other units' reports.
 
-    State between images is kept in the parts: rectifier, selection policy, flight law, roles and agreed
-    marker side. Each unit has its own instances. The controller itself keeps only its last report, which the
-    policy reads.
+    State between images is kept in the parts: rectifier, selection policy, flight law, roles, ambiguous ids
+    and agreed marker side. Each unit has its own instances. The controller itself keeps only its last report,
+    which the policy reads.
 
     Args:
         schedule: the whole shape, by robot, or a sequence of shapes.
@@ -98,6 +100,7 @@ class AerialController:
         self.rectifier, self.nearest, self.report_lifetime_s = rectifier, nearest, report_lifetime_s
         self.roles = Roles(roles, self.template)
         self.bodies, self.hidden_robots = bodies, HiddenRobots(self.template.ids)
+        self.ambiguous_ids = AmbiguousIds()
         self.size, self.side_consensus = size or SizeRule(), SideConsensus()
         self.clock = clock
         self._last_report: UnitReport | None = None
@@ -107,10 +110,12 @@ class AerialController:
 
         Args:
             detections: all markers of the image, with the time of the unit's own clock. Markers with a
-                repeated id are ignored as ambiguous.
+                repeated id are ambiguous: they get no goals, and are bodies without identity.
             reports: the last report received from each other unit, of any age.
         """
-        detections = self._in_team_time(detections.unambiguous(), reports)
+        ambiguous = self.ambiguous_ids.update(detections)
+        everything = self._in_team_time(detections, reports)
+        detections = everything.without(ambiguous)
         if self.rectifier is not None:
             detections = self.rectifier.rectify(detections)
         seen = detections.select(self.template.members)
@@ -133,12 +138,13 @@ class AerialController:
             roles=self.roles.reported,
         )
         ground_map = GroundMap() if self.rectifier is None else self.rectifier.ground_map
+        bodies = rectified(everything, ground_map) if ambiguous else detections
         return Decision(
             detections=detections,
             goals=goals,
             report=self._last_report,
             flight=self._fly(seen, selection, reports),
-            proximity=self._near_bodies(detections, reports, ground_map),
+            proximity=self._near_bodies(bodies, ambiguous, reports, ground_map),
             ground_map=ground_map,
         )
 
@@ -169,13 +175,17 @@ class AerialController:
         return self.flight.command(seen, task, reports)
 
     def _near_bodies(
-        self, detections: Detections, reports: Sequence[UnitReport], ground_map: GroundMap
+        self,
+        detections: Detections,
+        ambiguous: frozenset[int],
+        reports: Sequence[UnitReport],
+        ground_map: GroundMap,
     ) -> Proximity | None:
         """Return the bodies that robots must avoid, with the image border while a robot is hidden."""
         if self.bodies is None:
             return None
         hidden = self.hidden_robots.beyond(detections, reports, ground_map)
-        return proximity(detections, self.template.ids, self.bodies, hidden)
+        return proximity(detections, self.template.ids, self.bodies, hidden, ambiguous=ambiguous)
 
     def _goals(
         self, seen: Detections, selection: Selection, reports: Sequence[UnitReport], side_px: float

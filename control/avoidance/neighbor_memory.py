@@ -1,13 +1,22 @@
 """The robots' memory of nearby bodies: position, time of the image, and own rotation since."""
 
 from collections import deque
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from skyherd.control.robots.latency_compensation import LatencyCompensation
-from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
-from skyherd.messages import BORDER_IDS, TIME_TOLERANCE_S, Proximity, find_rows
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, wrap_angle
+from skyherd.messages import ANONYMOUS_ID, BORDER_IDS, TIME_TOLERANCE_S, Proximity, find_rows
 from skyherd.messages.checks import check_ids
+
+SAME_PLACE_SIDES = 1.0
+"""Distance up to which two reported positions may be of one body at rest, marker sides. Chosen: half of the
+distance of two touching robots."""
+
+SAME_PLACE_SHARE = 0.2
+"""Additional distance as a share of the distance to the body. Chosen: a bearing error of 0.2 rad, from the
+robot's own rotation between two images."""
 
 
 class NeighborMemory:
@@ -15,13 +24,19 @@ class NeighborMemory:
 
     The bodies include the four sides of an image, from the newest message that contains the robot.
 
+    Bodies without identity have columns of their own, which are added when needed. Such a body is forgotten
+    when a newer message reports a body at its place, or when it is stale. A newer message may also report an
+    identified body at a place that it cannot have reached: another marker has its id. The memory then keeps
+    the earlier place as a body without identity.
+
     A robot has no compass, but it knows its commanded turn rates. Directions are stored in the frame of the
     robot at the start of the run. They therefore remain valid while it turns. Robots that decide at equal
     time steps call `record_rotation` at each. Others pass `latency_compensation`, which has the times.
 
     Attributes:
         ids: (N,) the robots, ascending.
-        other_ids: (M,) sides of the image, robots and obstacles, ascending.
+        other_ids: (M,) sides of the image, robots and obstacles, ascending; then `ANONYMOUS_ID` for each
+            column of a body without identity.
         lifetime_s: age at which a message is stale.
         distances_sides: (N, M) distances between centres at the time of the image.
         reaches_sides: (N, M) distances between centres at which the two bodies touch.
@@ -37,6 +52,8 @@ class NeighborMemory:
         lifetime_s: as the attribute.
         latency_compensation: the robots' headings, from the commands that their wheels received; None if
             `record_rotation` is called at equal time steps instead.
+        max_speed_sides_ps: maximum speed of a robot, marker sides per second; infinite if unknown, and every
+            place is then within reach.
     """
 
     def __init__(
@@ -45,12 +62,14 @@ class NeighborMemory:
         other_ids: IntArray,
         lifetime_s: float,
         latency_compensation: LatencyCompensation | None = None,
+        max_speed_sides_ps: float = np.inf,
     ) -> None:
         ids = check_ids(ids, "NeighborMemory.ids")
         other_ids = check_ids(other_ids, "NeighborMemory.other_ids")
         self.ids, self.lifetime_s = ids, lifetime_s
-        self._latency_compensation = latency_compensation
-        self.other_ids: IntArray = np.concatenate([BORDER_IDS, other_ids])
+        self._latency_compensation, self._max_speed_sides_ps = latency_compensation, max_speed_sides_ps
+        self._known_ids: IntArray = np.concatenate([BORDER_IDS, other_ids])
+        self.other_ids: IntArray = self._known_ids
         shape = ids.size, self.other_ids.size
         self.distances_sides: Array = np.zeros(shape)
         self.reaches_sides: Array = np.zeros(shape)
@@ -77,27 +96,110 @@ class NeighborMemory:
         """
         arrived = np.ones(len(message), dtype=bool) if received is None else received
         rows, is_robot = find_rows(self.ids, message.ids)
-        columns, is_body = find_rows(self.other_ids, np.concatenate([BORDER_IDS, message.ids]))
+        columns, is_body = find_rows(self._known_ids, np.concatenate([BORDER_IDS, message.ids]))
         rows, columns = rows[arrived & is_robot], columns[is_body]
         now = rows[self.seen_s[rows] <= message.time_s]
         self.seen_s[now], self.horizon_sides[now] = message.time_s, message.horizon_sides
         block = np.ix_(rows, columns)
+        before = _Places.of(self, block) if np.isfinite(self._max_speed_sides_ps) else None
         before_s = self.imaged_s[block]
         self.imaged_s[block] = np.where(before_s <= message.time_s, -np.inf, before_s)
         hears = np.zeros(self.ids.size, dtype=bool)
         hears[rows] = True
         robot, is_robot = find_rows(self.ids, message.robot_ids)
-        other, is_body = find_rows(self.other_ids, message.other_ids)
+        other, is_body = find_rows(self._known_ids, message.other_ids)
+        mine = is_robot & hears[robot]
+        directions_rad = np.zeros(robot.size)
+        directions_rad[mine] = message.bearings_rad[mine] + self._rotation_at(
+            message.time_s - (np.zeros(self.ids.size) if lead_s is None else lead_s)[robot[mine]], robot[mine]
+        )
         newer = self.imaged_s[robot, other] <= message.time_s
-        row = np.flatnonzero(is_robot & hears[robot] & is_body & newer)
+        row = np.flatnonzero(mine & is_body & newer)
         pair = robot[row], other[row]
         self.distances_sides[pair] = message.distances_sides[row]
         self.reaches_sides[pair] = message.reaches_sides[row]
         self.shares[pair] = message.shares[row]
-        self.directions_rad[pair] = message.bearings_rad[row] + self._rotation_at(
-            message.time_s - (np.zeros(self.ids.size) if lead_s is None else lead_s)[pair[0]], pair[0]
-        )
+        self.directions_rad[pair] = directions_rad[row]
         self.imaged_s[pair] = message.time_s
+        reported = np.flatnonzero(mine & (message.other_ids >= ANONYMOUS_ID))
+        self._forget_anonymous(
+            robot[reported],
+            message.distances_sides[reported] * np.exp(1j * directions_rad[reported]),
+            message.time_s,
+        )
+        if before is not None:
+            self._keep_contradicted(before, block, message)
+        for nameless in np.flatnonzero(mine & (message.other_ids == ANONYMOUS_ID)).tolist():
+            place = robot[nameless], self._free_column(int(robot[nameless]), message.time_s)
+            self.distances_sides[place] = message.distances_sides[nameless]
+            self.reaches_sides[place] = message.reaches_sides[nameless]
+            self.shares[place] = message.shares[nameless]
+            self.directions_rad[place] = directions_rad[nameless]
+            self.imaged_s[place] = message.time_s
+
+    def _reach_sides(self, distances_sides: Array, age_s: Array) -> Array:
+        """Return how far apart two reports of one body may be after `age_s`, marker sides.
+
+        Both robots may have moved at full speed.
+        """
+        moved = 2 * self._max_speed_sides_ps * age_s if np.isfinite(self._max_speed_sides_ps) else 0.0
+        return np.asarray(SAME_PLACE_SIDES + SAME_PLACE_SHARE * distances_sides + moved)
+
+    def _forget_anonymous(self, robots: IntArray, vectors: ComplexArray, time_s: float) -> None:
+        """Remove bodies without identity at whose places a message of `time_s` reports bodies.
+
+        Args:
+            robots: (P,) row of the robot of each reported body.
+            vectors: (P,) positions of the reported bodies in the robots' frames at the start.
+            time_s: time of the message's image.
+        """
+        first = self._known_ids.size
+        if self.other_ids.size == first:
+            return
+        times_s = self.imaged_s[robots, first:]
+        distances = self.distances_sides[robots, first:]
+        known = distances * np.exp(1j * self.directions_rad[robots, first:])
+        age_s = np.where(times_s > -np.inf, time_s - times_s, 0.0)
+        same = np.abs(known - vectors[:, None]) <= self._reach_sides(distances, np.maximum(age_s, 0.0))
+        of, column = np.nonzero(same & (age_s >= 0))
+        self.imaged_s[robots[of], first + column] = -np.inf
+
+    def _keep_contradicted(self, before: "_Places", block: tuple[IntArray, ...], message: Proximity) -> None:
+        """Keep the earlier places of bodies that cannot have reached the places of this message.
+
+        A body that the message omits is beyond the horizon.
+        """
+        age_s = message.time_s - before.imaged_s
+        recent = (age_s >= 0) & (age_s <= self.lifetime_s) & (self._known_ids[block[1]] > BORDER_IDS[-1])
+        if not recent.any():
+            return
+        after = _Places.of(self, block)
+        beyond = message.horizon_sides + before.reaches_sides - before.distances_sides
+        apart = np.where(after.imaged_s == message.time_s, np.abs(after.vectors - before.vectors), beyond)
+        gone = recent & (apart > self._reach_sides(before.distances_sides, np.where(recent, age_s, 0.0)))
+        for at in zip(*np.nonzero(gone), strict=True):
+            row = int(block[0][at[0], 0])
+            place = row, self._free_column(row, message.time_s)
+            self.distances_sides[place] = before.distances_sides[at]
+            self.reaches_sides[place] = before.reaches_sides[at]
+            self.shares[place] = before.shares[at]
+            self.directions_rad[place] = before.directions_rad[at]
+            self.imaged_s[place] = before.imaged_s[at]
+
+    def _free_column(self, row: int, time_s: float) -> int:
+        """Return a column for a body without identity near the robot of a row; add one if none is free."""
+        first = self._known_ids.size
+        free = np.flatnonzero(self.imaged_s[row, first:] < time_s - self.lifetime_s - TIME_TOLERANCE_S)
+        if free.size:
+            return first + int(free[0])
+        more = ((0, 0), (0, 1))
+        self.distances_sides = np.pad(self.distances_sides, more)
+        self.reaches_sides = np.pad(self.reaches_sides, more)
+        self.shares = np.pad(self.shares, more, constant_values=1.0)
+        self.directions_rad = np.pad(self.directions_rad, more)
+        self.imaged_s = np.pad(self.imaged_s, more, constant_values=-np.inf)
+        self.other_ids = np.append(self.other_ids, ANONYMOUS_ID)
+        return int(self.other_ids.size) - 1
 
     def fresh(self, time_s: Array | float) -> tuple[IntArray, IntArray]:
         """Return rows (P,) and columns (P,) of the pairs that are not stale at the time or times (N,)."""
@@ -137,3 +239,24 @@ class NeighborMemory:
         knots_s = [at for at, _ in self._rotations]
         rotations = np.array([*(turned for _, turned in self._rotations), self._rotation_rad])
         return np.asarray(rotations[np.searchsorted(knots_s, times_s - TIME_TOLERANCE_S), robots])
+
+
+@dataclass(frozen=True)
+class _Places:
+    """A part of a memory, as arrays over R robots and B bodies; the fields are as in `NeighborMemory`."""
+
+    distances_sides: Array
+    reaches_sides: Array
+    shares: Array
+    directions_rad: Array
+    imaged_s: Array
+
+    @classmethod
+    def of(cls, memory: NeighborMemory, block: tuple[IntArray, ...]) -> "_Places":
+        """Return a copy of the part of a memory in the rows and columns `block`."""
+        return cls(*(getattr(memory, field.name)[block].copy() for field in fields(cls)))
+
+    @property
+    def vectors(self) -> ComplexArray:
+        """Positions (R, B) of the bodies in the robots' frames at the start, marker sides."""
+        return np.asarray(self.distances_sides * np.exp(1j * self.directions_rad))

@@ -2,15 +2,19 @@
 
 Lengths are in marker sides, the only length that images and robots have in common. Obstacles carry markers
 like robots, but their ids are not in the template.
+
+A marker with an unknown id, or with an id at several places, is a body without identity (`ANONYMOUS_ID`). It
+has a robot's radius, and half of the gap is left to it, since it may be a robot that moves.
 """
 
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, fields
 
 import numpy as np
 
 from skyherd.control.avoidance.image_border import HIDDEN_SIDES, HiddenBeyond
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, wrap_angle
-from skyherd.messages import BORDER_IDS, Detections, Proximity, among
+from skyherd.messages import ANONYMOUS_ID, BORDER_IDS, Detections, Proximity, among
 from skyherd.messages.checks import check_numbers
 
 
@@ -47,7 +51,12 @@ class _Pairs:
 
 
 def proximity(
-    detections: Detections, team_ids: IntArray, rule: BodyRule, hidden: HiddenBeyond | None = None
+    detections: Detections,
+    team_ids: IntArray,
+    rule: BodyRule,
+    hidden: HiddenBeyond | None = None,
+    *,
+    ambiguous: AbstractSet[int] = frozenset(),
 ) -> Proximity:
     """Return all pairs of a robot and another body within the horizon, each in the robot's own frame.
 
@@ -60,30 +69,39 @@ def proximity(
         rule: radii, margin and horizon.
         hidden: the border of the image, if unseen robots may stand beyond it, and the robots that must avoid
             it.
+        ambiguous: ids of markers that were recently at several places; ids repeated in the image always are.
     """
     team = frozenset(team_ids.tolist())
-    bodies = detections.select(team | rule.obstacles.keys())
-    pairs = _pairs_of_bodies(bodies, team, rule)
+    known = team | rule.obstacles.keys()
+    ambiguous = ambiguous | set(detections.ids[detections.repeated].tolist())
+    pairs = _pairs_of_bodies(detections, team, known - ambiguous, rule)
     if hidden is not None:
-        at_border = _pairs_with_border(bodies, hidden, rule)
+        at_border = _pairs_with_border(detections, ambiguous, hidden, rule)
         names = [field.name for field in fields(_Pairs)]
         pairs = _Pairs(*(np.concatenate([getattr(pairs, n), getattr(at_border, n)]) for n in names))
     return Proximity(
-        unit_id=bodies.unit_id,
-        time_s=bodies.time_s,
+        unit_id=detections.unit_id,
+        time_s=detections.time_s,
         horizon_sides=rule.horizon_sides,
-        ids=bodies.ids,
-        robot_ids=bodies.ids[pairs.rows],
+        ids=_each_once(detections.ids[among(detections.ids, known)]),
+        robot_ids=detections.ids[pairs.rows],
         other_ids=pairs.other_ids,
         distances_sides=pairs.distances_sides,
-        bearings_rad=wrap_angle(bodies.headings_rad[pairs.rows] - np.angle(pairs.directions)),
+        bearings_rad=wrap_angle(detections.headings_rad[pairs.rows] - np.angle(pairs.directions)),
         reaches_sides=pairs.reaches_sides,
         shares=pairs.shares,
     )
 
 
-def _pairs_of_bodies(bodies: Detections, team: frozenset[int], rule: BodyRule) -> _Pairs:
-    """Return the pairs of a robot and another body in the image.
+def _each_once(ids: IntArray) -> IntArray:
+    """Return ids, each at its first place."""
+    return np.array(list(dict.fromkeys(ids.tolist())), dtype=np.int64)
+
+
+def _pairs_of_bodies(
+    bodies: Detections, team: frozenset[int], identified: AbstractSet[int], rule: BodyRule
+) -> _Pairs:
+    """Return the pairs of a robot and another body in the image; a body not `identified` is anonymous.
 
     A length in the image is divided by the mean side of the two markers, which is also correct under camera
     tilt.
@@ -97,17 +115,21 @@ def _pairs_of_bodies(bodies: Detections, team: frozenset[int], rule: BodyRule) -
     near = is_robot[:, None] & (distances - reaches < rule.horizon_sides)
     np.fill_diagonal(near, False)
     robot, other = np.nonzero(near)
+    certain = among(bodies.ids, identified)
+    static = certain & ~is_robot
     return _Pairs(
         robot,
-        bodies.ids[other],
+        np.where(certain[robot] & certain[other], bodies.ids[other], ANONYMOUS_ID),
         offsets[robot, other],
         distances[robot, other],
         reaches[robot, other],
-        np.where(is_robot[other], 0.5, 1.0),
+        np.where(static[other], 1.0, 0.5),
     )
 
 
-def _pairs_with_border(bodies: Detections, hidden: HiddenBeyond, rule: BodyRule) -> _Pairs:
+def _pairs_with_border(
+    bodies: Detections, ambiguous: AbstractSet[int], hidden: HiddenBeyond, rule: BodyRule
+) -> _Pairs:
     """Return the pairs of a robot and a side of the image.
 
     A hidden robot is assumed at the nearest unseen point behind each side.
@@ -118,7 +140,7 @@ def _pairs_with_border(bodies: Detections, hidden: HiddenBeyond, rule: BodyRule)
     robot, side = np.nonzero(near)
     return _Pairs(
         robot,
-        BORDER_IDS[side],
+        np.where(among(bodies.ids, ambiguous)[robot], ANONYMOUS_ID, BORDER_IDS[side]),
         -hidden.border.normals[side],
         np.maximum(depths[robot, side], 0.0),
         np.full(robot.size, reach),

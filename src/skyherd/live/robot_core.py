@@ -314,7 +314,13 @@ class RobotCore:
         neighbors = None
         if self._avoidance is not None:
             bodies = np.array(sorted({self.robot_id, *self._other_ids}))
-            neighbors = NeighborMemory(ids, bodies, self._avoidance.lifetime_s, self._motion)
+            neighbors = NeighborMemory(
+                ids,
+                bodies,
+                self._avoidance.lifetime_s,
+                self._motion,
+                max_speed_sides_ps=self._avoidance.wheels.max_speed_mps / self._side_m,
+            )
         self._team = GoalFollowers(
             inboxes,
             self._law,

@@ -7,7 +7,7 @@ left, angles counter-clockwise. Units are in the names.
 from skyherd.messages.commands import FlightCommand, VelocityCommand
 from skyherd.messages.detections import Detections, Quality, centred
 from skyherd.messages.goals import MotionGoals, RobotGoal
-from skyherd.messages.ids import BORDER_IDS, NO_ID, among, find_rows, rows_of
+from skyherd.messages.ids import ANONYMOUS_ID, BORDER_IDS, NO_ID, among, find_rows, rows_of
 from skyherd.messages.proximity import Proximity
 from skyherd.messages.reports import UnitReport, shared_ids
 from skyherd.messages.role_map import RoleMap
@@ -15,6 +15,7 @@ from skyherd.messages.times import TIME_TOLERANCE_S
 from skyherd.messages.tree_status import NO_SLOT, TreeStatus
 
 __all__ = [
+    "ANONYMOUS_ID",
     "BORDER_IDS",
     "NO_ID",
     "NO_SLOT",

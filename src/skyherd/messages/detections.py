@@ -100,6 +100,11 @@ class Detections:
             return self
         return self._kept(~self.repeated)
 
+    def without(self, ids: AbstractSet[int] | npt.ArrayLike) -> "Detections":
+        """Return the detections with none of the `ids`, in the present order."""
+        drop = among(self.ids, ids)
+        return self._kept(~drop) if drop.any() else self
+
     def select(self, ids: AbstractSet[int] | npt.ArrayLike) -> "Detections":
         """Return the detections with one of the `ids`, in the present order."""
         keep = among(self.ids, ids)

@@ -17,6 +17,11 @@ BORDER_IDS: IntArray = np.array([-5, -4, -3, -2])
 from any unit, robot or marker, and ascending."""
 
 
+ANONYMOUS_ID = -6
+"""Body id of a body without identity: a marker with an unknown or an ambiguous id. Chosen: below
+`BORDER_IDS`. A message may contain several of them for one robot."""
+
+
 def among(ids: IntArray, members: AbstractSet[int] | npt.ArrayLike) -> BoolArray:
     """Return the mask of the `ids` that are in `members`; ids and mask have the same shape.
 

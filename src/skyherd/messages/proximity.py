@@ -14,6 +14,8 @@ class Proximity:
 
     Two bodies that are both in `ids` and form no pair are farther apart than the horizon. The sides of the
     sender's image are among the bodies, with the ids `BORDER_IDS`, while bodies may be hidden beyond them.
+    Bodies without identity have `ANONYMOUS_ID`. A robot whose id occurs at several places receives the
+    neighbours of each place as anonymous bodies, since it may be at any of them.
 
     Attributes:
         unit_id: the sender.
@@ -22,13 +24,14 @@ class Proximity:
         ids: (N,) bodies seen, each once; the robots among them are receivers, whether the unit controls them
             or not.
         robot_ids: (P,) the robot of each pair, which is the receiver.
-        other_ids: (P,) the other body of each pair: a robot, an obstacle or a side of the image.
+        other_ids: (P,) the other body of each pair: a robot, an obstacle, a side of the image, or an
+            anonymous body.
         distances_sides: (P,) distances between the two centres, or from a side, in marker sides.
         bearings_rad: (P,) directions to the other body in the robot's own frame, 0 ahead, positive to the
             left.
         reaches_sides: (P,) distances between the centres at which the bodies touch, margin included.
-        shares: (P,) share of the gap that the robot may use up: 1/2 if the other body is a robot, which
-            receives the same pair, and 1 if it is static.
+        shares: (P,) share of the gap that the robot may use up: 1/2 if the other body is or may be a robot,
+            which receives the same pair, and 1 if it is static.
 
     Raises:
         MessageError: a shape is wrong, an id in `ids` occurs twice, or a distance is negative.

@@ -56,7 +56,12 @@ def make_team(mission: Mission, world: World) -> RobotTeam:
     if not scenario.avoidance.on:
         return GoalFollowers(inboxes, gains, wheels, latency_compensation=compensation, clocks=clocks)
     bodies = np.union1d(mission.ids, mission.obstacle_ids)
-    neighbors = NeighborMemory(mission.ids, bodies, scenario.avoidance.lifetime_s)
+    neighbors = NeighborMemory(
+        mission.ids,
+        bodies,
+        scenario.avoidance.lifetime_s,
+        max_speed_sides_ps=wheels.max_speed_mps / scenario.marker.side_m,
+    )
     return GoalFollowers(
         inboxes,
         gains,

@@ -1,0 +1,202 @@
+"""Measure contacts of robots where the ground violates the assumption of one static marker per id.
+
+```sh
+export OPENBLAS_NUM_THREADS=1
+python benchmarks/odd_worlds.py sheet --runs 20      # a spare sheet with a robot's id lies on the ground
+python benchmarks/odd_worlds.py sheets --runs 20     # sheets with all ids lie beside the team
+python benchmarks/odd_worlds.py stranger --runs 20   # a body with an unknown id stands among the robots
+python benchmarks/odd_worlds.py mover --runs 20      # an obstacle moves through the finished shape
+```
+
+Each run is the scenario `crowd` with another seed and projected noisy markers. Robots have bodies of two
+marker sides across. Sheets are flat, and robots may drive over them. A stranger and a mover are bodies.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rows import Row, gather
+
+from skyherd.datasets import Mission, load_mission
+from skyherd.geometry import Array
+from skyherd.loop import run_steps
+from skyherd.render import CameraPose
+from skyherd.sim.perception import make_run_perception
+from skyherd.sim.sight import Perception, Sight
+from skyherd.sim.world import Markers, World
+
+WORLDS = ("none", "sheet", "sheets", "stranger", "mover")
+CLEAR_SIDES = 3.0
+"""Minimum distance of a sheet or stranger from the robots at the start, marker sides. Chosen: a gap of one
+side between bodies."""
+
+STRANGER_ID, MOVER_ID = 45, 46
+SPEEDS_MPS = (0.02, 0.1)
+"""Range of a mover's speed, m/s. Chosen: below the robots' top speed of 0.6 m/s by a factor of 6."""
+
+MOVER_START_S = 30.0
+"""Time at which a mover starts, s. Chosen: the shape is formed by then."""
+
+DURATION_S = {"mover": 90.0}
+"""Simulated time by world, s. Chosen: a mover at 0.1 m/s passes the shape."""
+
+USUAL_DURATION_S = 40.0
+"""Simulated time in other worlds, s. Chosen: twice the time in which the shape is formed."""
+
+
+class ExtraMarkers(Perception):
+    """Perception of the world with additional markers, which may move.
+
+    Args:
+        perception: perception of the scenario.
+        ids: (K,) ids of the additional markers.
+        positions_m: (K, 2) their positions at the start.
+        velocity_mps: (2,) common velocity of the markers from `start_s` on.
+        start_s: time at which they start to move.
+    """
+
+    def __init__(
+        self,
+        perception: Perception,
+        ids: Sequence[int],
+        positions_m: Array,
+        velocity_mps: Array,
+        start_s: float = MOVER_START_S,
+    ) -> None:
+        self._perception, self._ids, self._positions_m = (
+            perception,
+            np.array(ids, dtype=np.int64),
+            positions_m,
+        )
+        self._velocity_mps, self._start_s = velocity_mps, start_s
+
+    def positions_m(self, time_s: float) -> Array:
+        """Return the positions (K, 2) of the additional markers."""
+        return np.asarray(self._positions_m + self._velocity_mps * max(time_s - self._start_s, 0.0))
+
+    def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
+        """Return the detections of all markers in the units' images."""
+        own = world.markers
+        extra = Markers(self._ids, self.positions_m(time_s), np.zeros(self._ids.size))
+        return self._perception.look(_Extended(world, own, extra), units, time_s)
+
+
+class _Extended(World):
+    """View of a world with more markers on the ground; it cannot be advanced."""
+
+    def __init__(self, world: World, own: Markers, extra: Markers) -> None:
+        self._world, self._own, self._extra = world, own, extra
+        self.cameras = world.cameras
+
+    @property
+    def markers(self) -> Markers:
+        """All markers of the world and the additional ones."""
+        names = ("ids", "positions_m", "headings_rad")
+        return Markers(*(np.concatenate([getattr(self._own, n), getattr(self._extra, n)]) for n in names))
+
+    def camera_pose(self, unit: int) -> CameraPose:
+        """Return the present pose of one unit's camera."""
+        return self._world.camera_pose(unit)
+
+
+def load_world(seed: int, world: str) -> Mission:
+    """Return the mission of one run."""
+    settings = [
+        f"seed={seed}",
+        "perception=noisy",
+        f"duration_s={DURATION_S.get(world, USUAL_DURATION_S)}",
+    ]
+    if world == "mover":
+        # The scenario's own obstacle is far away; it makes the mover's id known as an obstacle.
+        settings.append(f"obstacles=[{{ id = {MOVER_ID}, position_m = [500.0, 500.0] }}]")
+    return load_mission("crowd", settings)
+
+
+def place_extra(mission: Mission, seed: int, world: str) -> tuple[list[int], Array, Array]:
+    """Draw ids (K,), positions (K, 2), m, and the common velocity (2,), m/s, of the additional markers."""
+    rng, still = np.random.default_rng([seed, 91]), np.zeros(2)
+    side_m, robots_m = mission.scenario.marker.side_m, mission.positions_m
+    if world == "sheets":
+        count = mission.ids.size
+        row, column = np.divmod(np.arange(count), 4)
+        corner_m = np.array([robots_m[:, 0].max() + CLEAR_SIDES * side_m, robots_m[:, 1].mean() - 1.5])
+        return mission.ids.tolist(), corner_m + np.stack([row, column], axis=1), still
+    if world == "mover":
+        angle = rng.uniform(-np.pi, np.pi)
+        along = np.array([np.cos(angle), np.sin(angle)])
+        aim_m = robots_m.mean(axis=0) + rng.uniform(-1.0, 1.0, 2)
+        speed_mps = rng.uniform(*SPEEDS_MPS)
+        return [MOVER_ID], (aim_m - 6.0 * along)[None], speed_mps * along
+    clear_m = CLEAR_SIDES * side_m
+    low_m, high_m = robots_m.min(axis=0) - clear_m, robots_m.max(axis=0) + clear_m
+    while True:
+        at_m = rng.uniform(low_m, high_m)
+        if np.linalg.norm(robots_m - at_m, axis=1).min() > clear_m:
+            break
+    robot = int(rng.choice(mission.ids))
+    return [robot if world == "sheet" else STRANGER_ID], at_m[None], still
+
+
+def run_world(seed: int, world: str) -> Row:
+    """Run one mission and return its contacts and its shape error at the end."""
+    mission = load_world(seed, world)
+    perception = make_run_perception(mission)
+    extra = None
+    if world != "none":
+        ids, places_m, velocity_mps = place_extra(mission, seed, world)
+        perception = extra = ExtraMarkers(perception, ids, places_m, velocity_mps)
+    side_m, radius_m = mission.scenario.marker.side_m, mission.bodies.radius_m
+    is_body = world in ("stranger", "mover")
+    touching: set[tuple[int, ...]] = set()
+    contacts, gap_m = 0, np.inf
+    for step in run_steps(mission, perception):
+        gaps_m, pairs = mission.bodies.gaps_m(step.positions_m), mission.bodies.pairs(len(step.positions_m))
+        now = {tuple(pair) for pair in pairs[gaps_m < 0].tolist()}
+        if is_body and extra is not None:
+            away_m = np.linalg.norm(step.positions_m - extra.positions_m(step.time_s), axis=1) - 2 * radius_m
+            gaps_m = np.append(gaps_m, away_m)
+            now |= {(robot, -1) for robot in np.flatnonzero(away_m < 0).tolist()}
+        contacts += len(now - touching)
+        touching, gap_m = now, min(gap_m, float(gaps_m.min()))
+    return {
+        "seed": seed,
+        "contacts": contacts,
+        "min_gap_sides": round(gap_m / side_m, 3),
+        "shape_error": round(step.metrics.shape.error, 4),
+    }
+
+
+def summarize(rows: list[Row]) -> dict[str, Any]:
+    """Return the summary of all runs."""
+    return {
+        "runs": len(rows),
+        "with_contacts": sum(row["contacts"] > 0 for row in rows),
+        "contacts": sum(row["contacts"] for row in rows),
+        "min_gap_sides": min(row["min_gap_sides"] for row in rows),
+        "formed": sum(row["shape_error"] < 0.01 for row in rows),
+    }
+
+
+def main() -> None:
+    """Run the missions and print their rows and a summary."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("world", choices=WORLDS)
+    parser.add_argument("--runs", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=100, help="of the first run")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--json", type=Path, help="file of rows, one a line")
+    options = parser.parse_args()
+    seeds = range(options.seed, options.seed + options.runs)
+    rows = gather(partial(run_world, world=options.world), seeds, options.jobs, options.json)
+    print(json.dumps(summarize(rows), indent=1))
+
+
+if __name__ == "__main__":
+    main()

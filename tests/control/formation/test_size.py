@@ -119,3 +119,11 @@ def test_team_reaches_bounded_or_given_size(scenario_tree, size, spacing_sides, 
         assert 3.0 < nearest_sides < 4.0
     else:
         assert nearest_sides == pytest.approx(spacing_sides, rel=0.01)
+
+
+def test_side_consensus_leaks_a_twentieth_of_the_mean(make_detections, make_report) -> None:
+    """From equal images, a neighbour's side of 24 px moves the side of 20 px by 0.95 of the half."""
+    points = [0, 100, 100j]
+    report = replace(make_report(1, [0, 1, 2], points, [0]), side_px=24.0)
+    side_px = SideConsensus().update(make_detections([0, 1, 2], points), [report])
+    assert side_px == pytest.approx(20 * 1.2 ** (0.95 / 2))

@@ -83,7 +83,8 @@ class Mission:
         """Lines of each shape, polylines (M,) in image sense, in the template's units."""
         models = (self.scenario.template, *self.scenario.template.then)
         shapes = (self.template, *(shape for _, shape in self.later))
-        return tuple(_outline(model, shape) for model, shape in zip(models, shapes, strict=True))
+        robots = self.scenario.robots
+        return tuple(_outline(model, shape, robots) for model, shape in zip(models, shapes, strict=True))
 
     def outline_at(self, time_s: float) -> tuple[ComplexArray, ...]:
         """Return the lines of the shape to form at a time, s, in image sense; empty if it has none."""
@@ -248,12 +249,12 @@ def _team(scenario: Scenario, folder: Path, rng: np.random.Generator) -> _Team:
     problems, later = ProblemCollector(), []
     with problems.collecting():
         _check_template(ids, template, "template")
-        _check_outline(scenario.template, template, "template")
+        _check_outline(scenario.template, "template")
     for number, shape in enumerate(scenario.template.then):
         with problems.collecting():
             made = _template(shape, scenario.robots, dictionary, folder, f"template.then.{number}")
             _check_template(ids, made, f"template.then.{number}")
-            _check_outline(shape, made, f"template.then.{number}")
+            _check_outline(shape, f"template.then.{number}")
             later.append((shape.at_s, made))
     with problems.collecting():
         _check_classes(scenario, ids)
@@ -298,21 +299,27 @@ def _template(
         raise InputError(where, str(error), "at least two distinct points") from None
 
 
-def _outline(model: ShapeModel, template: Template) -> tuple[ComplexArray, ...]:
+def _outline(model: ShapeModel, template: Template, robots: RobotsModel) -> tuple[ComplexArray, ...]:
     """Return the lines of a shape in image sense; none if the file gives neither lines nor a name."""
     if model.outline is not None:
-        return tuple(template.points_of(np.array(ids)) for ids in model.outline)
+        ids = np.arange(template.ids.size) if robots.ids is None else np.array(robots.ids)
+        return tuple(template.points_of(ids[line]) for line in model.outline)
     if model.shape is None:
         return ()
     lines = shape_outline(model.shape, template.ids.size)
     return tuple(to_complex(line).conj() for line in lines)
 
 
-def _check_outline(model: ShapeModel, template: Template, where: str) -> None:
-    unknown = np.setdiff1d([robot for line in model.outline or [] for robot in line], template.ids)
-    if unknown.size:
-        what = f"no point for robot(s) {unknown.astype(int).tolist()}"
-        raise InputError(f"{where}.outline", what, "ids of the shape's robots")
+def _check_outline(model: ShapeModel, where: str) -> None:
+    if model.outline is None:
+        return
+    if model.points is None:
+        raise InputError(f"{where}.outline", "no points that it may join", "points beside it")
+    count = len(model.points)
+    unknown = sorted({number for line in model.outline for number in line if number >= count})
+    if unknown:
+        what = f"no point(s) {', '.join(map(str, unknown))}"
+        raise InputError(f"{where}.outline", what, f"numbers of points, from 0 to {count - 1}")
 
 
 def _named_shape(name: str, count: int, where: str) -> Array:

@@ -19,7 +19,7 @@ from skyherd.datasets.configuration.fields import (
     Positive,
     Seed,
 )
-from skyherd.datasets.configuration.robot_models import MarkerId, MarkerModel, ObstacleModel, RobotsModel
+from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleModel, RobotsModel
 from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
 from skyherd.datasets.configuration.unit_models import UnitModel
 from skyherd.datasets.configuration.validation import shown
@@ -29,6 +29,10 @@ from skyherd.text import one_of
 RATE_ROUNDING = 1e-9
 """Tolerance of the number of images per time step above 1. Chosen: rounding of `frame_rate_hz * step_s`,
 such as 10 times 0.1."""
+
+
+PointNumber = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
+"""Number of a point in a list of points."""
 
 
 class ShapeModel(Model):
@@ -44,11 +48,11 @@ class ShapeModel(Model):
         None, description="picture with every robot's marker in it, relative to the scenario's folder"
     )
 
-    outline: list[Annotated[list[MarkerId], Field(min_length=2, max_length=MAX_ROBOTS)]] | None = Field(
+    outline: list[Annotated[list[PointNumber], Field(min_length=2, max_length=MAX_ROBOTS)]] | None = Field(
         None,
         max_length=MAX_ROBOTS,
-        description="lines drawn in the video: each the ids of the robots whose points it joins. A named "
-        "shape has its own lines if left out, points and pictures have none",
+        description="lines drawn in the video, beside `points`: each joins points by their numbers, from 0. "
+        "A named shape has lines of its own",
     )
 
     @model_validator(mode="after")

@@ -145,15 +145,25 @@ def test_wrong_video_table_is_rejected(scenario_tree, change, message: str) -> N
         make_mission(scenario_tree("triangle") | change)
 
 
-def test_outline_of_unknown_robot_is_rejected(scenario_tree) -> None:
+def test_outline_of_unknown_point_is_rejected(scenario_tree) -> None:
     tree = scenario_tree("triangle")
     tree["template"]["outline"] = [[0, 77]]
     with pytest.raises(InputError, match=r"outline.*77"):
         make_mission(tree)
 
 
-def test_outline_of_ids_in_image_sense() -> None:
+def test_outline_of_points_in_image_sense() -> None:
     mission = load_mission("triangle")
     points = to_complex(np.array(mission.scenario.template.points)).conj()
     (order,) = mission.scenario.template.outline
     np.testing.assert_allclose(mission.outline_at(0.0)[0], points[order])
+
+
+def test_outline_does_not_depend_on_the_ids() -> None:
+    usual, other = load_mission("triangle"), load_mission("triangle", ["robots.ids=[8, 9, 17, 47, 1, 2]"])
+    np.testing.assert_allclose(other.outline_at(0.0)[0], usual.outline_at(0.0)[0])
+
+
+def test_outline_without_points_is_rejected() -> None:
+    with pytest.raises(InputError, match=r"outline: no points that it may join"):
+        load_mission("letters", ["template.outline=[[0, 1]]"])

@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -115,27 +116,15 @@ class NeighborMemory:
         )
         newer = self.imaged_s[robot, other] <= message.time_s
         row = np.flatnonzero(mine & is_body & newer)
-        pair = robot[row], other[row]
-        self.distances_sides[pair] = message.distances_sides[row]
-        self.reaches_sides[pair] = message.reaches_sides[row]
-        self.shares[pair] = message.shares[row]
-        self.directions_rad[pair] = directions_rad[row]
-        self.imaged_s[pair] = message.time_s
-        reported = np.flatnonzero(mine & (message.other_ids >= ANONYMOUS_ID))
-        self._forget_anonymous(
-            robot[reported],
-            message.distances_sides[reported] * np.exp(1j * directions_rad[reported]),
-            message.time_s,
-        )
+        reported = _Places.reported(message, directions_rad)
+        reported.take(row).put_into(self, (robot[row], other[row]))
+        bodies = np.flatnonzero(mine & (message.other_ids >= ANONYMOUS_ID))
+        self._forget_anonymous(robot[bodies], reported.vectors[bodies], message.time_s)
         if before is not None:
             self._keep_contradicted(before, block, message)
-        for nameless in np.flatnonzero(mine & (message.other_ids == ANONYMOUS_ID)).tolist():
-            place = robot[nameless], self._free_column(int(robot[nameless]), message.time_s)
-            self.distances_sides[place] = message.distances_sides[nameless]
-            self.reaches_sides[place] = message.reaches_sides[nameless]
-            self.shares[place] = message.shares[nameless]
-            self.directions_rad[place] = directions_rad[nameless]
-            self.imaged_s[place] = message.time_s
+        for pair in np.flatnonzero(mine & (message.other_ids == ANONYMOUS_ID)).tolist():
+            place = robot[pair], self._free_column(int(robot[pair]), message.time_s)
+            reported.take(pair).put_into(self, place)
 
     def _reach_sides(self, distances_sides: Array, age_s: Array) -> Array:
         """Return how far apart two reports of one body may be after `age_s`, marker sides.
@@ -179,12 +168,7 @@ class NeighborMemory:
         gone = recent & (apart > self._reach_sides(before.distances_sides, np.where(recent, age_s, 0.0)))
         for at in zip(*np.nonzero(gone), strict=True):
             row = int(block[0][at[0], 0])
-            place = row, self._free_column(row, message.time_s)
-            self.distances_sides[place] = before.distances_sides[at]
-            self.reaches_sides[place] = before.reaches_sides[at]
-            self.shares[place] = before.shares[at]
-            self.directions_rad[place] = before.directions_rad[at]
-            self.imaged_s[place] = before.imaged_s[at]
+            before.take(at).put_into(self, (row, self._free_column(row, message.time_s)))
 
     def _free_column(self, row: int, time_s: float) -> int:
         """Return a column for a body without identity near the robot of a row; add one if none is free."""
@@ -243,7 +227,7 @@ class NeighborMemory:
 
 @dataclass(frozen=True)
 class _Places:
-    """A part of a memory, as arrays over R robots and B bodies; the fields are as in `NeighborMemory`."""
+    """Places of bodies, as arrays of one shape; the fields are as in `NeighborMemory`."""
 
     distances_sides: Array
     reaches_sides: Array
@@ -256,7 +240,22 @@ class _Places:
         """Return a copy of the part of a memory in the rows and columns `block`."""
         return cls(*(getattr(memory, field.name)[block].copy() for field in fields(cls)))
 
+    @classmethod
+    def reported(cls, message: Proximity, directions_rad: Array) -> "_Places":
+        """Return the places (P,) of a message's pairs, with directions (P,) in the frames at the start."""
+        times_s = np.full(directions_rad.shape, message.time_s)
+        return cls(message.distances_sides, message.reaches_sides, message.shares, directions_rad, times_s)
+
+    def take(self, at: Any) -> "_Places":
+        """Return the places at indices."""
+        return _Places(*(getattr(self, field.name)[at] for field in fields(self)))
+
+    def put_into(self, memory: NeighborMemory, at: Any) -> None:
+        """Store the places in a memory at the indices of robots and bodies."""
+        for field in fields(self):
+            getattr(memory, field.name)[at] = getattr(self, field.name)
+
     @property
     def vectors(self) -> ComplexArray:
-        """Positions (R, B) of the bodies in the robots' frames at the start, marker sides."""
+        """Positions of the bodies in the robots' frames at the start, marker sides."""
         return np.asarray(self.distances_sides * np.exp(1j * self.directions_rad))

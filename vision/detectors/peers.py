@@ -14,7 +14,7 @@ the corners. The heading is that of the nearest square in the common plane of th
 """
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from importlib import import_module
 from typing import Any, Protocol
@@ -179,18 +179,31 @@ class _OpenCV:
         return opencv_corners(self._detector, image)
 
 
+def _family(detector: str, families: Mapping[str, str], dictionary: str) -> str:
+    """Return a library's name of a dictionary; raise InputError if it does not know it."""
+    if dictionary not in families:
+        raise InputError(
+            f"detector {detector}", f"does not know {dictionary}", f"one of {', '.join(families)}"
+        )
+    return families[dictionary]
+
+
+def _library(detector: str, module: str, package: str, requirement: str) -> Any:
+    """Return the module of a detector's library; raise InputError if it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError:
+        what = f"{package} is not installed"
+        raise InputError(f"detector {detector}", what, f"pip install {requirement}") from None
+
+
 @cache
 def _apriltag_library_detector(family: str) -> Any:
     """Return the library's detector for a family; it is created once and never freed.
 
     pupil-apriltags frees a family before the detector that refers to it, which crashes the interpreter.
     """
-    try:
-        library: Any = import_module("pupil_apriltags")
-    except ImportError:
-        raise InputError(
-            "detector apriltag3", "pupil-apriltags is not installed", "pip install skyherd[peers]"
-        ) from None
+    library: Any = _library("apriltag3", "pupil_apriltags", "pupil-apriltags", "skyherd[peers]")
 
     class Kept(library.Detector):  # type: ignore[misc]
         def __del__(self) -> None:
@@ -203,11 +216,7 @@ class _AprilTag3:
     """AprilTag 3 by pupil-apriltags, at full resolution; the library's default halves the image."""
 
     def __init__(self, dictionary: str) -> None:
-        if dictionary not in APRILTAG_FAMILIES:
-            raise InputError(
-                "detector apriltag3", f"does not know {dictionary}", f"one of {', '.join(APRILTAG_FAMILIES)}"
-            )
-        self._detector = _apriltag_library_detector(APRILTAG_FAMILIES[dictionary])
+        self._detector = _apriltag_library_detector(_family("apriltag3", APRILTAG_FAMILIES, dictionary))
 
     def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
         tags = self._detector.detect(image)
@@ -220,14 +229,9 @@ class _Locus:
     """locus-tag with its standard profile and one thread."""
 
     def __init__(self, dictionary: str) -> None:
-        where = "detector locus-tag"
-        if dictionary not in LOCUS_FAMILIES:
-            raise InputError(where, f"does not know {dictionary}", f"one of {', '.join(LOCUS_FAMILIES)}")
-        try:
-            library: Any = import_module("locus")
-        except ImportError:
-            raise InputError(where, "locus-tag is not installed", "pip install skyherd[peers]") from None
-        family = getattr(library.TagFamily, LOCUS_FAMILIES[dictionary])
+        name = _family("locus-tag", LOCUS_FAMILIES, dictionary)
+        library = _library("locus-tag", "locus", "locus-tag", "skyherd[peers]")
+        family = getattr(library.TagFamily, name)
         self._detector = library.Detector(families=[family], threads=1)
 
     def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
@@ -239,18 +243,13 @@ class _Napa:
     """NAPA (`napa-vision`). Its licence excludes commercial use, so no extra installs it."""
 
     def __init__(self, dictionary: str) -> None:
-        where = "detector napa"
-        if dictionary not in APRILTAG_FAMILIES:
-            raise InputError(where, f"does not know {dictionary}", f"one of {', '.join(APRILTAG_FAMILIES)}")
-        try:
-            library: Any = import_module("napa_vision")
-        except ImportError:
-            raise InputError(where, "napa-vision is not installed", "pip install napa-vision") from None
+        family = _family("napa", APRILTAG_FAMILIES, dictionary)
+        library = _library("napa", "napa_vision", "napa-vision", "napa-vision")
         options = {"min_tag_px": NAPA_MIN_SIDE_PX, "max_detections": NAPA_MAX_TAGS}
         with warnings.catch_warnings():
             # Version 0.4.1 makes NumPy warn of the sizes of its ctypes structures.
             warnings.simplefilter("ignore", RuntimeWarning)
-            self._detector = library.NapaDetector(family=APRILTAG_FAMILIES[dictionary], **options)
+            self._detector = library.NapaDetector(family=family, **options)
 
     def find(self, image: npt.NDArray[np.uint8], *, corrected: bool) -> tuple[IntArray, Array]:
         tags = self._detector.detect(np.ascontiguousarray(image))

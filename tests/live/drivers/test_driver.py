@@ -30,6 +30,19 @@ class Wire:
         self.closed += 1
 
 
+class Stuck(Wire):
+    """Link that blocks in `write` until `held` is set."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.held, self.entered = threading.Event(), threading.Event()
+
+    def write(self, motion):
+        self.entered.set()
+        self.held.wait(10)
+        super().write(motion)
+
+
 class Steps:
     """Clock and pause of a driver thread, which runs one cycle at a time."""
 
@@ -119,42 +132,26 @@ class TestRobotDriver:
         assert wire.written[-1] == STILL
 
     def test_send_never_blocks_on_the_link(self) -> None:
-        held, entered = threading.Event(), threading.Event()
-
-        class Stuck(Wire):
-            def write(self, motion):
-                entered.set()
-                held.wait(10)
-                super().write(motion)
-
         wire = Stuck()
         driver = RobotDriver(wire, robot_id=0, limits=FAST)
-        assert entered.wait(10)
+        assert wire.entered.wait(10)
         for number in range(1000):  # All calls must return while the writing thread is blocked.
             driver.send_motion(Motion(number / 1000, 0.0))
         assert not wire.written
-        held.set()
+        wire.held.set()
         driver.close()
         assert wire.written[-1] == STILL and wire.closed == 1
 
     def test_close_reports_blocked_link(self, monkeypatch) -> None:
         monkeypatch.setattr("skyherd.live.drivers.driver.CLOSE_S", 0.05)
-        held, entered = threading.Event(), threading.Event()
-
-        class Stuck(Wire):
-            def write(self, motion):
-                entered.set()
-                held.wait(10)
-                super().write(motion)
-
         wire = Stuck()
         driver = RobotDriver(wire, robot_id=0, limits=FAST)
-        assert entered.wait(10)
+        assert wire.entered.wait(10)
         with pytest.warns(RuntimeWarning, match="wire: blocks since 0.05 s; the robot may not have received"):
             driver.close()
         assert "may not have received zero" in driver.trouble
         assert not wire.closed
-        held.set()
+        wire.held.set()
         driver._thread.join(10)
         driver.close()
         assert wire.written[-3:] == [STILL] * 3 and wire.closed == 1 and driver.trouble is None

@@ -229,9 +229,9 @@ def test_the_reference_is_a_marker_drawn_in_pixels_and_blurred(dictionary, marke
 
 @pytest.mark.parametrize("direction", [0.0, 0.5 * np.pi, -2.0])
 def test_blur_that_is_round_in_the_image_is_drawn_so(direction):
-    """Under an anisotropy e its covariance in the marker, with a = e / (1 + |e|²), is that of a round blur of
-    variance σ² (1 - 2 |a|) and of a line of variance 4 |a| σ² across half the direction of e, which is
-    integrated. The drawing is off by an order 2 in e; if blur is drawn round in the marker, by an order 1.
+    """The reference for an anisotropy e, with a = e / (1 + |e|²), has two blurs in the marker: a round one of
+    variance σ² (1 - 2 |a|), and a line of variance 4 |a| σ² across half the direction of e. The drawing is
+    off by an order 2 in e; if blur is drawn round in the marker, by an order 1.
     """
     nodes, weights = np.polynomial.hermite_e.hermegauss(30)
     sizes, off = np.array([0.04, 0.02, 0.01]), {True: [], False: []}

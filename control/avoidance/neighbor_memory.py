@@ -243,8 +243,13 @@ class _Places:
     @classmethod
     def reported(cls, message: Proximity, directions_rad: Array) -> "_Places":
         """Return the places (P,) of a message's pairs, with directions (P,) in the frames at the start."""
-        times_s = np.full(directions_rad.shape, message.time_s)
-        return cls(message.distances_sides, message.reaches_sides, message.shares, directions_rad, times_s)
+        return cls(
+            distances_sides=message.distances_sides,
+            reaches_sides=message.reaches_sides,
+            shares=message.shares,
+            directions_rad=directions_rad,
+            imaged_s=np.full(directions_rad.shape, message.time_s),
+        )
 
     def take(self, at: Any) -> "_Places":
         """Return the places at indices."""

@@ -1,6 +1,7 @@
 """Log odds that a quadrilateral shows a marker, against everything else that it may show.
 
-Its readings (`readings`) are explained by the marker's pattern under variable light (`pattern_fit`). With L_k
+Its readings (`readings`) are explained by the marker's pattern under variable light (`pattern_fit`). Of
+overexposed images patterns are clipped, and bits under glare do not count. With L_k
 the likelihood of marker and quarter turn k among the 4 D of a dictionary, the log odds are
 
     log L_k - log 4D - log Σ_j o_j L_j

@@ -1,11 +1,17 @@
-"""Find the packages of skyherd; everything else about the distribution is in `pyproject.toml`."""
+"""Find the packages of skyherd and build its compiled libraries; the rest is in `pyproject.toml`."""
 
+import importlib.util
 import tomllib
 from pathlib import Path
 
-from setuptools import find_packages, setup
+from setuptools import Distribution, find_packages, setup
+from setuptools.command.bdist_wheel import bdist_wheel
+from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).parent
+
+NATIVE = "vision/native"
+"""Folder of the C sources, whose `build.py` compiles them."""
 
 
 def packages() -> list[str]:
@@ -25,5 +31,45 @@ def packages() -> list[str]:
     return sorted(found)
 
 
+def build_libraries(folder: Path) -> list[Path]:
+    """Compile the C sources into a folder, and return the paths of the libraries."""
+    spec = importlib.util.spec_from_file_location("skyherd_native_build", ROOT / NATIVE / "build.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.build(folder)
+
+
+class BuildWithLibraries(build_py):
+    """Copy the packages, and compile the libraries beside their sources (in place if editable)."""
+
+    def run(self) -> None:
+        """Run the command."""
+        super().run()
+        inside = ROOT if self.editable_mode else Path(self.build_lib) / "skyherd"
+        self.libraries = build_libraries(inside / NATIVE)
+
+    def get_outputs(self, include_bytecode: bool = True) -> list[str]:
+        """Return the files that the command writes."""
+        libraries = [] if self.editable_mode else [str(path) for path in getattr(self, "libraries", [])]
+        return [*super().get_outputs(include_bytecode), *libraries]
+
+
+class PlatformWheel(bdist_wheel):
+    """Wheel for one platform and any Python, since the libraries do not use Python's C interface."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        """Return the tag of the wheel: Python, binary interface, platform."""
+        return "py3", "none", super().get_tag()[2]
+
+
+class PlatformDistribution(Distribution):
+    """Distribution with compiled files."""
+
+    def has_ext_modules(self) -> bool:
+        """Return that there are compiled files, although setuptools does not build them."""
+        return True
+
+
 if __name__ == "__main__":
-    setup(packages=packages())
+    commands = {"build_py": BuildWithLibraries, "bdist_wheel": PlatformWheel}
+    setup(packages=packages(), cmdclass=commands, distclass=PlatformDistribution)

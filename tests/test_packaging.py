@@ -1,4 +1,4 @@
-"""Packaging: the package list matches the tree, and the wheel's only top level is skyherd."""
+"""Packaging: the package list matches the tree; the wheel has skyherd alone, and its compiled libraries."""
 
 import ast
 import importlib.util
@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 
 import skyherd
+from skyherd.vision.native import build
+from skyherd.vision.native.library import load
 
 ROOT = Path(__file__).parent.parent
 SETUP = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
@@ -95,18 +97,46 @@ def test_version_has_one_source():
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    """Return the file names of the wheel `SKYHERD_WHEEL`, or of a new one."""
+def wheel_path(tmp_path_factory):
+    """Return the path of the wheel `SKYHERD_WHEEL`, or of a new one."""
     made = os.environ.get("SKYHERD_WHEEL")
     if made:
-        return zipfile.ZipFile(made).namelist()
+        return Path(made)
     out = tmp_path_factory.mktemp("wheel")
     subprocess.run(
         [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(out), str(ROOT)],
         check=True,
         capture_output=True,
     )
-    return zipfile.ZipFile(next(out.glob("*.whl"))).namelist()
+    return next(out.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def wheel(wheel_path):
+    """Return the file names of the wheel."""
+    return zipfile.ZipFile(wheel_path).namelist()
+
+
+@pytest.mark.slow
+def test_wheel_is_for_one_platform_and_has_loadable_libraries(wheel, wheel_path, tmp_path):
+    tag = wheel_path.stem.split("-", 2)[2]
+    assert tag.startswith("py3-none-") and not tag.endswith("any")
+    names = [f"skyherd/vision/native/{build.library_name(level)}" for level in build.levels()]
+    assert set(names) <= set(wheel)
+    zipfile.ZipFile(wheel_path).extract(names[0], tmp_path)
+    assert load(tmp_path / names[0]).functions.processor_level() >= 0
+
+
+@pytest.mark.parametrize("compiler", [None, "cc", "clang"])
+def test_build_requires_ziglang_only_without_a_compiler(compiler, tmp_path, monkeypatch):
+    spec = importlib.util.spec_from_file_location("build_backend", ROOT / "build_backend.py")
+    backend = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(backend)
+    if compiler:
+        (tmp_path / compiler).touch(mode=0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert backend.COMPILERS == build.COMPILERS
+    assert backend._requirements([]) == ([] if compiler else ["ziglang"])
 
 
 @pytest.mark.slow
@@ -115,7 +145,7 @@ def test_wheel_has_all_files_under_skyherd_only(wheel):
     assert {top for top in tops if not top.endswith(".dist-info")} == {"skyherd"}
     for package, folder in folders_with_code():
         for file in (ROOT / folder).iterdir():
-            if file.suffix in {".py", ".toml", ".typed", ".html", ".css"}:
+            if file.suffix in {".py", ".toml", ".typed", ".html", ".css", ".c", ".h"}:
                 inside = file.relative_to(ROOT / folder).as_posix()
                 assert f"{package.replace('.', '/')}/{inside}" in wheel
 

@@ -167,3 +167,9 @@ class OutputError(SkyherdError, OSError):
     """File that could not be written, or not completely."""
 
     exit_code = 2
+
+
+class NativeLibraryError(SkyherdError, ImportError):
+    """Compiled library that is missing, cannot be loaded, or is of another version."""
+
+    exit_code = 2

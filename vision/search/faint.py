@@ -31,7 +31,11 @@ def find_faint_quads(image: Image, known_px: Array) -> Array:
         image: grey, (height, width).
         known_px: (K, 4, 2) corners of squares, px, that need not be found again.
     """
+    return find_quads(stretched_contrast(image), known_px)
+
+
+def stretched_contrast(image: Image) -> Image:
+    """Return the smoothed image's differences from the mean of its surroundings, times `GAIN`."""
     smooth = cv2.blur(image, (SMOOTHING_PX, SMOOTHING_PX))
     mean = cv2.blur(image, (SURROUNDINGS_PX, SURROUNDINGS_PX))
-    stretched = cv2.addWeighted(smooth, GAIN, mean, -GAIN, MIDDLE)
-    return find_quads(np.asarray(stretched, dtype=np.uint8), known_px)
+    return np.asarray(cv2.addWeighted(smooth, GAIN, mean, -GAIN, MIDDLE), dtype=np.uint8)

@@ -1,9 +1,9 @@
-"""Adaptive threshold of an image, and the boundaries of its dark regions.
+"""Parameters of the adaptive threshold, and the places of an image that are searched.
 
-A pixel is dark if it is below the local mean by a constant. A first pass at half the size selects places with
-a high density of dark pixels. Marker edges exceed this density limit, and noise and texture do not. The
-selected places are copied side by side into one mosaic, which is processed at once. Empty parts of the image
-thus cost no time. Places around known markers are left out.
+A pixel is dark if it is below the local mean by a constant (`vision/native/means.c`). A first pass at half
+the size selects places with a high density of dark pixels. Marker edges exceed this density limit, and noise
+and texture do not. The selected places are copied side by side into one mosaic, which is processed at once.
+Empty parts of the image thus cost no time. Places around known markers are left out.
 """
 
 from dataclasses import dataclass
@@ -53,19 +53,6 @@ MAX_MOSAIC_SHARE = 0.33
 time than it saves."""
 
 
-@dataclass(frozen=True)
-class Boundaries:
-    """B closed boundaries of dark regions, anticlockwise in the image; boundaries of holes run clockwise.
-
-    Attributes:
-        points: (P,) points of all boundaries, one boundary after the other, u + iv, px.
-        lengths: (B,) number of points of each boundary.
-    """
-
-    points: ComplexArray
-    lengths: IntArray
-
-
 ENLARGEMENT = 2
 """Enlargement factor of the search for small squares. Chosen: at twice the size, a cell of 1.5 px is as wide
 as the filters above; a factor of three takes more than twice the time."""
@@ -104,24 +91,6 @@ class Mosaic:
         return self.offsets[np.searchsorted(self.begins, columns, side="right") - 1]
 
 
-@dataclass(frozen=True)
-class DarkRegions:
-    """Dark regions of an image.
-
-    Attributes:
-        dark: 255 where the mosaic's image is dark.
-        mosaic: the searched places of the image.
-    """
-
-    dark: Image
-    mosaic: Mosaic
-
-    def eroded(self) -> "DarkRegions":
-        """Return the regions eroded by one pixel, which separates regions that touch at a corner."""
-        square = np.ones((3, 3), dtype=np.uint8)
-        return DarkRegions(np.asarray(cv2.erode(self.dark, square), dtype=np.uint8), self.mosaic)
-
-
 def crowded_places(image: Image, known_px: Array | None = None, min_darkness: float = 0.0) -> Mosaic | None:
     """Return the places of an image with a high density of dark pixels, or None.
 
@@ -137,34 +106,6 @@ def crowded_places(image: Image, known_px: Array | None = None, min_darkness: fl
     image = image[:height, :width]
     crowded = _crowded(image, np.zeros((0, 4, 2)) if known_px is None else known_px, min_darkness)
     return _mosaic(image, crowded) if crowded.any() else None
-
-
-def dark_regions(mosaic: Mosaic) -> DarkRegions:
-    """Return the dark regions in a mosaic, by the adaptive threshold."""
-    mask = cv2.resize(mosaic.mask, mosaic.image.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    return DarkRegions(np.asarray(cv2.bitwise_and(_dark(mosaic.image), mask), dtype=np.uint8), mosaic)
-
-
-def dark_boundaries(regions: DarkRegions, min_points: int) -> Boundaries:
-    """Return the boundaries of dark regions with at least `min_points` points."""
-    mosaic = regions.mosaic
-    contours, _ = cv2.findContours(regions.dark, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    boundaries = [contour for contour in contours if len(contour) >= min_points]
-    if not boundaries:
-        return Boundaries(np.zeros(0, dtype=complex), np.zeros(0, dtype=np.int64))
-    lengths = np.array([len(boundary) for boundary in boundaries])
-    joined = np.concatenate(boundaries)[:, 0].astype(float)
-    shifts = mosaic.shifts(joined[np.cumsum(lengths) - lengths, 0])
-    return Boundaries(joined[:, 0] + 1j * joined[:, 1] + np.repeat(shifts, lengths), lengths)
-
-
-def _dark(image: Image) -> Image:
-    """Return the dark pixels of an image as 255, by the adaptive threshold."""
-    smooth, wide = _mean(image, SMOOTHING_PX), _mean(_mean(image, SHARPENING_PX), SHARPENING_PX)
-    sharp = np.asarray(cv2.addWeighted(smooth, 2.0, wide, -1.0, 0.0), dtype=np.uint8)
-    surroundings = cv2.max(*(_mean(sharp, width) for width in WINDOWS_PX))
-    _, dark = cv2.threshold(cv2.subtract(surroundings, sharp), DARKER, 255, cv2.THRESH_BINARY)
-    return np.asarray(dark, dtype=np.uint8)
 
 
 def _mosaic(image: Image, crowded_mask: Image) -> Mosaic:

@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 import pytest
+from search_reference import is_quad
 
 from skyherd.geometry import SQUARE_CORNERS, to_complex, to_points
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.search import quads
 from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX, SHRINKS, find_quads
 
 HEADINGS = {"upright": 0.0, "a little turned": 0.02, "diagonal": np.pi / 4, "any": None}
@@ -169,4 +169,4 @@ def test_squares_that_touch_at_corners_are_separated(side_px, blur_px):
 def test_quad_with_three_collinear_corners_is_rejected(bend_px) -> None:
     """Also if rounding makes it convex: a degenerate quadrilateral has no homography for the cells."""
     corners = np.array([[0, 20, 20 + 20j, 10 + 10j + bend_px * (1j - 1)]])
-    assert quads._is_quad(corners, np.array([200.0]), 0.0).tolist() == [bend_px == 0.5]
+    assert is_quad(corners, np.array([200.0]), 0.0).tolist() == [bend_px == 0.5]

@@ -3,10 +3,11 @@
 import cv2
 import numpy as np
 import pytest
+from search_reference import dark_boundaries, dark_regions
 
 from skyherd.vision.search import regions
 from skyherd.vision.search.quads import MIN_POINTS
-from skyherd.vision.search.regions import ENLARGEMENT, crowded_places, dark_boundaries, dark_regions
+from skyherd.vision.search.regions import ENLARGEMENT, crowded_places
 
 SIZE_PX = (900, 700)
 

@@ -1,0 +1,103 @@
+"""Loading of the compiled library: missing, stale and invalid files; memory safety under sanitizers."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skyherd.errors import NativeLibraryError
+from skyherd.vision.native import build
+from skyherd.vision.native.library import load
+
+LEVEL = build.levels()[0]
+SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+
+
+def compiled(folder, *options):
+    """Return the path of a library that is compiled into a folder."""
+    target = folder / build.library_name(LEVEL)
+    build.compile_library(target, [*build.compiler_command(LEVEL), *options])
+    return target
+
+
+def test_missing_library_names_the_command(tmp_path):
+    with pytest.raises(NativeLibraryError, match=r"missing.*python vision/native/build.py"):
+        load(tmp_path / "none.so")
+
+
+def test_file_that_is_no_library_is_rejected(tmp_path):
+    path = tmp_path / build.library_name(LEVEL)
+    path.write_bytes(b"no library")
+    with pytest.raises(NativeLibraryError, match="cannot be loaded"):
+        load(path)
+
+
+def test_library_of_other_sources_is_rejected(tmp_path, monkeypatch):
+    """The build is that of the checkout, and then a source changes."""
+    for name in (*build.SOURCES, *build.HEADERS):
+        shutil.copy(build.FOLDER / name, tmp_path)
+    path = build.FOLDER / build.library_name(LEVEL)
+    monkeypatch.setattr(build, "FOLDER", tmp_path)
+    load(path)
+    with (tmp_path / build.SOURCES[0]).open("a") as source:
+        source.write("/* changed */\n")
+    with pytest.raises(NativeLibraryError, match="another version"):
+        load(path)
+
+
+def test_compiler_failure_names_the_compiler(tmp_path):
+    with pytest.raises(RuntimeError, match="cannot compile"):
+        compiled(tmp_path, "-fno-such-option")
+
+
+def fuzz(path, seed=0, images=150):
+    """Search random images of 2 to 70 px, also with invalid sizes; run under sanitizers in a subprocess."""
+    from skyherd.vision.search.quads import search_parameters
+
+    rng = np.random.default_rng(seed)
+    library = load(Path(path))
+    found = 0
+    for number in range(images):
+        height, width = 2 * rng.integers(1, 36, 2)
+        image = rng.integers(0, 256, (height, width), dtype=np.uint8)
+        if number % 3:  # blocks, which have regions and quadrilaterals
+            side = int(rng.integers(1, 20))
+            image = np.ascontiguousarray(np.kron(image, np.ones((side, side), np.uint8))[:height, :width])
+        places = np.full((height // 2, width // 2), 255, np.uint8)
+        found += len(library.quads(image, places, search_parameters(range(3)))[0])
+    for size in [(1, 1), (1, 70), (70, 1), (0, 2), (-2, 2), (3, 4), (40000, 2)]:
+        assert library.functions.search_workspace_bytes(*size) == 0
+        assert library.functions.search_quads(None, None, *size, None, None, 0, None, None, 0) < 0
+    return found
+
+
+@pytest.mark.slow
+def test_fuzzed_images_violate_no_sanitizer(tmp_path):
+    compiler = build.system_compiler()
+    if compiler is None or sys.platform != "linux":
+        pytest.skip("needs a C compiler and libasan on Linux")
+    command = [compiler, "-print-file-name=libasan.so"]
+    runtime = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    if not Path(runtime).is_absolute():
+        pytest.skip("the compiler has no libasan")
+    try:
+        library = compiled(tmp_path, *SANITIZERS)
+    except RuntimeError as error:
+        pytest.skip(f"the compiler has no sanitizers: {error}")
+    code = f"import test_library; print(test_library.fuzz({str(library)!r}))"
+    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    environment = {
+        **os.environ,
+        "LD_PRELOAD": runtime,
+        "ASAN_OPTIONS": "detect_leaks=0",
+        "PYTHONPATH": paths,
+    }
+    ended = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    assert int(ended.stdout) > 0

@@ -1,0 +1,176 @@
+"""The compiled search against its NumPy and OpenCV reference, on every build, and its checks of arguments."""
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pytest
+import search_reference as reference
+from scipy.optimize import linear_sum_assignment
+
+from skyherd.errors import InputError
+from skyherd.vision.native import build
+from skyherd.vision.native.library import library, load
+from skyherd.vision.search.faint import find_faint_quads
+from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX, SHRINKS, find_quads, search_parameters, small_quads
+from skyherd.vision.search.regions import ENLARGEMENT, Mosaic, crowded_places
+
+TOLERANCE_PX = 1e-6
+PLAIN = search_parameters(range(2))
+
+
+def markers(size_px, count, noise, seed):
+    """Return dark squares with light cells on light cards, some touching, with blur and noise."""
+    rng = np.random.default_rng([1, seed])
+    image = np.full(size_px[::-1], 150, np.uint8)
+    for _ in range(count):
+        side, turn = rng.uniform(8, 60), np.exp(1j * rng.uniform(-np.pi, np.pi))
+        middle = complex(*(rng.uniform(0, size_px)))
+        for scale, grey in ((1.4, 230), (1.0, 30), (0.3, 220)):
+            z = middle + scale * side * turn * np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
+            points = np.rint(16 * np.column_stack([z.real, z.imag])).astype(np.int32)
+            cv2.fillPoly(image, [points], grey, cv2.LINE_AA, 4)
+    image = cv2.GaussianBlur(image, (0, 0), 0.8) + noise * rng.standard_normal(image.shape)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def texture(size_px, scale_px, seed):
+    """Return filtered noise over all grey levels."""
+    rng = np.random.default_rng([2, seed])
+    grey = cv2.GaussianBlur(rng.standard_normal(size_px[::-1]), (0, 0), scale_px)
+    return np.clip(128 + 80 * grey / grey.std(), 0, 255).astype(np.uint8)
+
+
+def noise(size_px, seed):
+    return np.random.default_rng([3, seed]).integers(0, 256, size_px[::-1], dtype=np.uint8)
+
+
+IMAGES = {
+    "markers": lambda: markers((900, 700), 60, 0.0, 1),
+    "markers with noise 5": lambda: markers((900, 700), 60, 5.0, 2),
+    "few markers": lambda: markers((1280, 960), 6, 2.0, 3),
+    "small markers": lambda: cv2.resize(
+        markers((900, 700), 80, 5.0, 4), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA
+    ),
+    "texture of 2 px": lambda: texture((640, 480), 2.0, 5),
+    "texture of 5 px": lambda: texture((641, 483), 5.0, 6),
+    "texture of 12 px": lambda: texture((640, 480), 12.0, 7),
+    "noise": lambda: noise((640, 480), 8),
+}
+
+
+@lru_cache
+def image_of(name):
+    return IMAGES[name]()
+
+
+def whole(image):
+    """Return an image as the only place of a mosaic."""
+    return Mosaic(
+        image, np.full(np.array(image.shape) // 2, 255, np.uint8), np.zeros(1, int), np.zeros(1, complex)
+    )
+
+
+def clear_of_limit(quads, enlargement):
+    """Return the quadrilaterals whose shortest side does not equal the limit, which rounding decides."""
+    shortest = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).min(axis=1)
+    limits = MIN_QUAD_SIDE_PX * np.array(SHRINKS if enlargement == 1 else [1 / enlargement])
+    return quads[np.abs(shortest[:, None] - limits).min(axis=1) > TOLERANCE_PX]
+
+
+def assert_same_quads(found, expected, enlargement=1):
+    """Assert that two sets of quadrilaterals are equal, in any order and from any first corner."""
+    found, expected = (clear_of_limit(quads, enlargement) for quads in (found, expected))
+    assert len(found) == len(expected)
+    if not len(found):
+        return
+    turned = np.stack([np.roll(found, turn, axis=1) for turn in range(4)])
+    off = np.abs(turned[:, :, None] - expected[None, None]).max(axis=(3, 4)).min(axis=0)
+    rows, columns = linear_sum_assignment(np.minimum(off, 1.0))
+    assert off[rows, columns].max() <= TOLERANCE_PX, np.sort(off[rows, columns])[-5:]
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_find_quads_equals_reference(name):
+    image = image_of(name)
+    assert_same_quads(find_quads(image), reference.find_quads(image))
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_small_quads_equal_reference(name):
+    places = crowded_places(image_of(name))
+    if places is not None:
+        assert_same_quads(small_quads(places), reference.small_quads(places), ENLARGEMENT)
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_faint_quads_equal_reference(name):
+    image, known = image_of(name), np.zeros((0, 4, 2))
+    assert_same_quads(find_faint_quads(image, known), reference.find_faint_quads(image, known))
+
+
+def test_images_of_markers_have_many_quads():
+    """The comparisons above would pass on two empty sets."""
+    assert len(find_quads(image_of("markers with noise 5"))) > 60
+    assert len(small_quads(crowded_places(image_of("small markers")))) > 60
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_mask_bytes_equal_opencv(name):
+    places = crowded_places(image_of(name))
+    if places is not None:
+        image = np.ascontiguousarray(places.image)
+        expected = reference.dark_regions(places).dark
+        assert np.array_equal(library().dark_mask(image, places.mask, PLAIN), expected)
+
+
+def test_masks_of_small_images_equal_opencv():
+    """Windows wider than the image are mirrored several times."""
+    rng = np.random.default_rng(9)
+    for height in range(2, 50, 4):
+        for width in range(2, 50, 4):
+            places = whole(rng.integers(0, 256, (height, width), dtype=np.uint8))
+            found = library().dark_mask(places.image, places.mask, PLAIN)
+            assert np.array_equal(found, reference.dark_regions(places).dark), (width, height)
+
+
+def builds():
+    """Return the libraries that this processor can load, by level."""
+    best = int(library().functions.processor_level())
+    return {
+        level: load(build.FOLDER / build.library_name(level)) for level in build.levels() if level <= best
+    }
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_builds_give_equal_bytes(name):
+    places = whole(image_of(name)[:350, :450].copy())
+    image, places = places.image, places.mask
+    results = [other.quads(image, places, search_parameters(range(3))) for other in builds().values()]
+    assert {corners.tobytes() for corners, _ in results} == {results[0][0].tobytes()}
+    masks = {other.dark_mask(image, places, PLAIN).tobytes() for other in builds().values()}
+    assert len(masks) == 1
+
+
+@pytest.mark.parametrize(
+    "image, places",
+    [
+        (np.zeros((4, 4)), np.zeros((2, 2), np.uint8)),
+        (np.zeros((4, 5), np.uint8), np.zeros((2, 2), np.uint8)),
+        (np.zeros((4, 8), np.uint8)[:, ::2], np.zeros((2, 2), np.uint8)),
+        (np.zeros((4, 4), np.uint8), np.zeros((2, 3), np.uint8)),
+        (np.zeros((4, 4, 1), np.uint8), np.zeros((2, 2), np.uint8)),
+        (None, np.zeros((2, 2), np.uint8)),
+    ],
+    ids=["float", "odd width", "strided", "other places", "three axes", "none"],
+)
+def test_invalid_arrays_are_rejected(image, places):
+    with pytest.raises(InputError):
+        library().quads(image, places, PLAIN)
+
+
+def test_window_that_is_not_compiled_is_rejected():
+    parameters = search_parameters(range(2))
+    parameters.small_window_px = 7
+    with pytest.raises(InputError, match="windows of 3, 5, 9 and 21 px"):
+        library().quads(np.zeros((4, 4), np.uint8), np.zeros((2, 2), np.uint8), parameters)

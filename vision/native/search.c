@@ -1,0 +1,159 @@
+/* The functions that Python calls, and the layout of the workspace. */
+#include "search.h"
+
+#include <string.h>
+
+enum { ALIGNMENT = 64, MAX_WINDOW_PX = 21 };
+
+static int valid_size(int32_t width, int32_t height) {
+    return width > 0 && height > 0 && width <= MAX_SIDE_PX && height <= MAX_SIDE_PX && width % 2 == 0 &&
+           height % 2 == 0;
+}
+
+/* Under AddressSanitizer, only the reserved parts of the workspace may be accessed. */
+#if defined(__SANITIZE_ADDRESS__)
+void __asan_poison_memory_region(const volatile void *begin, size_t bytes);
+void __asan_unpoison_memory_region(const volatile void *begin, size_t bytes);
+static void forbid(const void *begin, size_t bytes) { __asan_poison_memory_region(begin, bytes); }
+static void allow(const void *begin, size_t bytes) { __asan_unpoison_memory_region(begin, bytes); }
+#else
+static void forbid(const void *begin, size_t bytes) { (void)begin, (void)bytes; }
+static void allow(const void *begin, size_t bytes) { (void)begin, (void)bytes; }
+#endif
+
+/* Reserve bytes of the workspace, with a gap of `ALIGNMENT` at least behind them, and return where they begin. */
+static uint8_t *reserve(uint8_t *memory, size_t *used, size_t bytes) {
+    const size_t begin = *used;
+    *used = (begin + bytes + 2 * ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+    if (!memory) return NULL;
+    allow(memory + begin, bytes);
+    return memory + begin;
+}
+
+static Mask reserve_mask(uint8_t *memory, size_t *used, int32_t width, int32_t height) {
+    const ptrdiff_t stride = (ptrdiff_t)width + 2;
+    return (Mask){reserve(memory, used, (size_t)stride * (size_t)(height + 2)), width, height, stride};
+}
+
+/* Lay out the workspace in `memory`, and return the bytes used. Without memory only the bytes are counted. */
+static size_t lay_out(uint8_t *memory, int32_t width, int32_t height, Workspace *work) {
+    const size_t pixels = (size_t)width * (size_t)height, padded = (size_t)width + 2 * MAX_WINDOW_PX;
+    size_t used = 0;
+    work->smooth = reserve(memory, &used, pixels);
+    work->wide = reserve(memory, &used, pixels);
+    work->sharp = reserve(memory, &used, pixels);
+    work->column_sums = (uint16_t *)(void *)reserve(memory, &used, padded * sizeof(uint16_t));
+    work->window_sums = (uint16_t *)(void *)reserve(memory, &used, padded * sizeof(uint16_t));
+    work->dark = reserve_mask(memory, &used, width, height);
+    work->eroded = reserve_mask(memory, &used, width, height);
+    work->runs = (Run *)(void *)reserve(memory, &used, 2 * (size_t)width * sizeof(Run));
+    /* A run without a dark neighbour above begins a region: at most every second pixel of every second row. */
+    work->regions = (Region *)(void *)reserve(memory, &used, (pixels / 4 + padded) * sizeof(Region));
+    work->max_points = (ptrdiff_t)(4 * pixels);
+    work->points = (Point *)(void *)reserve(memory, &used, 4 * pixels * sizeof(Point));
+    return used + ALIGNMENT;
+}
+
+/* Return the bytes of the workspace for an image, or 0 if the size is invalid. Most of it is rarely written. */
+size_t search_workspace_bytes(int32_t width, int32_t height) {
+    Workspace work;
+    return valid_size(width, height) ? lay_out(NULL, width, height, &work) : 0;
+}
+
+static void clear_border(const Mask *mask) {
+    memset(mask_row(mask, -1) - 1, 0, (size_t)mask->stride);
+    memset(mask_row(mask, mask->height) - 1, 0, (size_t)mask->stride);
+    for (int32_t y = 0; y < mask->height; y++) mask_row(mask, y)[-1] = mask_row(mask, y)[mask->width] = 0;
+}
+
+/* Check the arguments, lay out the workspace, and threshold the image within its places. */
+static int prepare(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
+                   const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes, Workspace *work) {
+    if (!valid_size(width, height) || workspace_bytes < search_workspace_bytes(width, height)) return INVALID_SIZE;
+    if (!image || !places || !parameters || !workspace) return INVALID_PARAMETERS;
+    if (parameters->first_erosions < 0 || parameters->last_erosions > 8 || parameters->darker < 0 ||
+        parameters->darker > 255)
+        return INVALID_PARAMETERS;
+    forbid(workspace, workspace_bytes);
+    lay_out(workspace + (ALIGNMENT - (uintptr_t)workspace % ALIGNMENT) % ALIGNMENT, width, height, work);
+    clear_border(&work->dark);
+    clear_border(&work->eroded);
+    const int failed = threshold(image, width, height, parameters, work);
+    if (!failed) keep_places(&work->dark, places);
+    return failed;
+}
+
+/* Write the dark pixels (height, width) of an image as 255, and return 0 or an error. */
+int32_t search_mask(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
+                    const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes, uint8_t *dark) {
+    Workspace work;
+    const int failed = prepare(image, places, width, height, parameters, workspace, workspace_bytes, &work);
+    for (int32_t y = 0; !failed && y < height; y++)
+        memcpy(dark + (ptrdiff_t)y * width, mask_row(&work.dark, y), (size_t)width);
+    return failed;
+}
+
+/* Append the quadrilaterals of a mask. Return their new number, or an error. */
+static int32_t append_quads(const Mask *mask, double growth_px, const SearchParameters *parameters, Workspace *work,
+                            double *corners, int32_t *first_columns, int32_t found, int32_t max_quads) {
+    const int32_t count = find_regions(mask, work);
+    for (int32_t label = 0; label < count; label++) {
+        const Region *region = work->regions + label;
+        const int32_t wide = region->right - region->left, high = region->bottom - region->top;
+        /* The area within a boundary is at most that of its bounding box. */
+        if (region->parent != label || !((double)wide * high > parameters->min_area_px2)) continue;
+        Boundary boundary;
+        if (trace(mask, region, work, &boundary)) return TOO_MANY_RESULTS;
+        if (boundary.count < parameters->min_points) continue;
+        const double area = enclosed_area(boundary), around = boundary.count;
+        if (!(area > parameters->min_area_px2 && area > parameters->min_compactness * around * around)) continue;
+        if (found >= max_quads) return TOO_MANY_RESULTS;
+        first_columns[found] = region->first_x;
+        found += fit_quad(boundary, area, growth_px, parameters, corners + 8 * (ptrdiff_t)found);
+    }
+    return found;
+}
+
+/* Find the dark quadrilaterals of an image, after each number of erosions from `first_erosions` to `last_erosions`.
+ *
+ * `places` is a plane of half the size, 255 where the image is searched. The result is the number of quadrilaterals or
+ * an error: corners (N, 4, 2), clockwise, px, and the column (N,) of the first pixel of each region.
+ */
+int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
+                     const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes,
+                     double *corners, int32_t *first_columns, int32_t max_quads) {
+    Workspace work;
+    const int failed = prepare(image, places, width, height, parameters, workspace, workspace_bytes, &work);
+    if (failed) return failed;
+    Mask *dark = &work.dark, *eroded = &work.eroded;
+    int32_t found = 0;
+    for (int32_t erosions = 0; found >= 0 && erosions <= parameters->last_erosions; erosions++) {
+        if (erosions > 0) {
+            erode(dark, eroded, (uint8_t *)work.column_sums);
+            Mask *swap = dark;
+            dark = eroded;
+            eroded = swap;
+        }
+        const double growth_px = parameters->growth_px + erosions * parameters->eroded_px;
+        if (erosions >= parameters->first_erosions)
+            found = append_quads(dark, growth_px, parameters, &work, corners, first_columns, found, max_quads);
+    }
+    return found;
+}
+
+/* Return the hash of the sources and flags that the library was built from. */
+const char *sources_version(void) { return SKYHERD_SOURCES; }
+
+/* Return the highest x86-64 level of the processor that a library is built for, 2 to 4; on others 0. */
+int32_t processor_level(void) {
+#if defined(__x86_64__)
+    __builtin_cpu_init();
+    const int three = __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2");
+    const int four = three && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+                     __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
+                     __builtin_cpu_supports("avx512vl");
+    return four ? 4 : three ? 3 : 2;
+#else
+    return 0;
+#endif
+}

@@ -1,0 +1,89 @@
+/* Search for dark quadrilaterals in a grey image.
+ *
+ * search_quads() runs these steps on one image, which may be a mosaic of places:
+ *   1. means.c    adaptive threshold by running box sums, and erosion of the dark pixels
+ *   2. regions.c  horizontal runs of dark pixels, joined to regions; the outer boundary of a region
+ *   3. quads.c    four corner points on a boundary, a line through each side, their intersections
+ *
+ * Coordinates: x is the column, y the row (downwards). Planes are row-major. No function allocates memory: the caller
+ * passes one workspace, whose size search_workspace_bytes() returns. The time is proportional to the number of pixels.
+ */
+#ifndef SKYHERD_SEARCH_H
+#define SKYHERD_SEARCH_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+enum { MAX_SIDE_PX = 32766, DARK = 255 };
+
+/* Negative results of the public functions. */
+enum { INVALID_SIZE = -1, INVALID_PARAMETERS = -2, TOO_MANY_RESULTS = -3 };
+
+/* Parameters of the search; vision/search/ states the reason of each value. */
+typedef struct {
+    double growth_px, eroded_px;           /* outward shift of the sides, and its increase with each erosion */
+    double min_area_px2, min_compactness;  /* limits of the area within a boundary */
+    double rounded_share, side_end_weight; /* ends of a side that the line ignores, and their weight */
+    double min_length_px, min_crossing;    /* smallest divisor of a direction; smallest sine of a corner */
+    double min_side_px, max_side_ratio, max_area_mismatch;
+    int32_t darker, min_points;
+    int32_t smoothing_px, sharpening_px, small_window_px, large_window_px;
+    int32_t first_erosions, last_erosions; /* numbers of erosions after which regions are searched */
+} SearchParameters;
+
+typedef struct { int32_t x, y; } Point;
+
+/* Outer boundary of a region: `count` points, anticlockwise in the image, from its first pixel in row order. */
+typedef struct { const Point *points; int32_t count; } Boundary;
+
+/* A binary image with a border of one pixel that is never dark. */
+typedef struct { uint8_t *pixels; int32_t width, height; ptrdiff_t stride; } Mask;
+
+/* Row `from <= x < to` of dark pixels, and its region. */
+typedef struct { int32_t from, to, y, label; } Run;
+
+/* Bounding box of a region and its first pixel in row order; `parent` is the label of a region joined with it. */
+typedef struct { int32_t parent, left, right, top, bottom, first_x; } Region;
+
+/* Planes and lists of one search. */
+typedef struct {
+    uint8_t *smooth, *wide, *sharp;
+    uint16_t *column_sums, *window_sums;
+    Mask dark, eroded;
+    Run *runs;
+    Region *regions;
+    Point *points;
+    ptrdiff_t max_points;
+} Workspace;
+
+static inline uint8_t *mask_row(const Mask *mask, int32_t y) {
+    return mask->pixels + (y + 1) * mask->stride + 1;
+}
+
+/* means.c */
+int box_mean(const uint8_t *image, int32_t width, int32_t height, int32_t window_px, uint8_t *means, Workspace *work);
+int threshold(const uint8_t *image, int32_t width, int32_t height, const SearchParameters *parameters,
+              Workspace *work);
+void keep_places(Mask *mask, const uint8_t *places);
+void erode(const Mask *mask, const Mask *eroded, uint8_t *scratch);
+
+/* regions.c */
+int32_t find_regions(const Mask *mask, Workspace *work);
+int trace(const Mask *mask, const Region *region, Workspace *work, Boundary *boundary);
+
+/* quads.c */
+double enclosed_area(Boundary boundary);
+int fit_quad(Boundary boundary, double area, double growth_px, const SearchParameters *parameters,
+             double corners[8]);
+
+/* The library's functions, called from Python. */
+size_t search_workspace_bytes(int32_t width, int32_t height);
+int32_t search_mask(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
+                    const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes, uint8_t *dark);
+int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
+                     const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes,
+                     double *corners, int32_t *first_columns, int32_t max_quads);
+const char *sources_version(void);
+int32_t processor_level(void);
+
+#endif

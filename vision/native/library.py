@@ -22,7 +22,7 @@ PIXELS_PER_QUAD = 8
 that counts has 20 points, and visits a pixel at most twice along a line of one pixel."""
 
 ERRORS = {
-    -1: ("an invalid size", "even sides up to 32766 px"),
+    -1: ("an invalid size", "even sides, 2**28 pixels at most"),
     -2: ("invalid parameters", "windows of 3, 5, 9 and 21 px"),
     -3: ("too many regions", "fewer regions in an image"),
 }

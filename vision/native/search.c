@@ -7,7 +7,7 @@ enum { ALIGNMENT = 64, MAX_WINDOW_PX = 21 };
 
 static int valid_size(int32_t width, int32_t height) {
     return width > 0 && height > 0 && width <= MAX_SIDE_PX && height <= MAX_SIDE_PX && width % 2 == 0 &&
-           height % 2 == 0;
+           height % 2 == 0 && (int64_t)width * height <= MAX_PIXELS;
 }
 
 /* Under AddressSanitizer, only the reserved parts of the workspace may be accessed. */

@@ -14,7 +14,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { MAX_SIDE_PX = 32766, DARK = 255 };
+enum { MAX_SIDE_PX = 1 << 20, MAX_PIXELS = 1 << 28, DARK = 255 };
 
 /* Negative results of the public functions. */
 enum { INVALID_SIZE = -1, INVALID_PARAMETERS = -2, TOO_MANY_RESULTS = -3 };

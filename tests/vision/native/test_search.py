@@ -174,3 +174,10 @@ def test_window_that_is_not_compiled_is_rejected():
     parameters.small_window_px = 7
     with pytest.raises(InputError, match="windows of 3, 5, 9 and 21 px"):
         library().quads(np.zeros((4, 4), np.uint8), np.zeros((2, 2), np.uint8), parameters)
+
+
+def test_wide_mosaic_of_a_large_image_is_searched():
+    """Many places of a large image form a mosaic wider than 32767 px, the limit of 16 bits."""
+    image = np.tile(np.ascontiguousarray(image_of("markers")[:64, :600]), (1, 70))
+    places = whole(image)
+    assert len(library().quads(places.image, places.mask, PLAIN)[0]) > 0

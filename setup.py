@@ -10,8 +10,8 @@ from setuptools.command.build_py import build_py
 
 ROOT = Path(__file__).parent
 
-NATIVE = "vision/native"
-"""Folder of the C sources, whose `build.py` compiles them."""
+BUILD = ROOT / "src/skyherd/native/build.py"
+"""Module that compiles the C sources."""
 
 
 def packages() -> list[str]:
@@ -31,12 +31,12 @@ def packages() -> list[str]:
     return sorted(found)
 
 
-def build_libraries(folder: Path) -> list[Path]:
-    """Compile the C sources into a folder, and return the paths of the libraries."""
-    spec = importlib.util.spec_from_file_location("skyherd_native_build", ROOT / NATIVE / "build.py")
+def build_libraries(into: Path | None) -> list[Path]:
+    """Compile the C sources into a folder of packages, or beside the sources, and return the paths."""
+    spec = importlib.util.spec_from_file_location("skyherd_native_build", BUILD)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return module.build(folder)
+    return module.build(into)
 
 
 class BuildWithLibraries(build_py):
@@ -45,8 +45,7 @@ class BuildWithLibraries(build_py):
     def run(self) -> None:
         """Run the command."""
         super().run()
-        inside = ROOT if self.editable_mode else Path(self.build_lib) / "skyherd"
-        self.libraries = build_libraries(inside / NATIVE)
+        self.libraries = build_libraries(None if self.editable_mode else Path(self.build_lib) / "skyherd")
 
     def get_outputs(self, include_bytecode: bool = True) -> list[str]:
         """Return the files that the command writes."""

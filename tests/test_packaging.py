@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 import skyherd
-from skyherd.vision.native import build
-from skyherd.vision.native.library import load
+from skyherd.native import build
+from skyherd.native.loading import load
 
 ROOT = Path(__file__).parent.parent
 SETUP = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]
@@ -121,10 +121,11 @@ def wheel(wheel_path):
 def test_wheel_is_for_one_platform_and_has_loadable_libraries(wheel, wheel_path, tmp_path):
     tag = wheel_path.stem.split("-", 2)[2]
     assert tag.startswith("py3-none-") and not tag.endswith("any")
-    names = [f"skyherd/vision/native/{build.library_name(level)}" for level in build.levels()]
-    assert set(names) <= set(wheel)
-    zipfile.ZipFile(wheel_path).extract(names[0], tmp_path)
-    assert load(tmp_path / names[0]).functions.processor_level() >= 0
+    for package in build.LIBRARIES:
+        names = [f"skyherd/{package}/native/{build.library_name(package, level)}" for level in build.levels()]
+        assert set(names) <= set(wheel)
+        zipfile.ZipFile(wheel_path).extract(names[0], tmp_path)
+        assert load(tmp_path / names[0], build.sources_folder(package)).processor_level() >= 0
 
 
 @pytest.mark.parametrize("compiler", [None, "cc", "clang"])

@@ -1,21 +1,15 @@
-"""The compiled library of vision, loaded by ctypes: typed functions that check their arguments.
-
-The library for the processor's instruction set is loaded at the first call. All libraries give equal bytes.
-"""
+"""Typed functions of the compiled library of vision, which check their arguments."""
 
 import ctypes
 import threading
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
+from functools import cache
 
 import numpy as np
 
-from skyherd.errors import InputError, NativeLibraryError
+from skyherd.errors import InputError
 from skyherd.geometry import Array, Image, IntArray
-from skyherd.vision.native.build import FOLDER, levels, library_name, sources_version
-
-BUILD_COMMAND = "python vision/native/build.py"
+from skyherd.native.loading import declare, library_of
 
 PIXELS_PER_QUAD = 8
 """Pixels of an image for each quadrilateral that the result has room for. Derived: the boundary of a region
@@ -133,52 +127,28 @@ class Library:
         return *pointers, width, height, ctypes.byref(parameters), memory.ctypes.data, memory.size
 
 
-def load(path: Path) -> Library:
-    """Load one build of the library.
-
-    Raises:
-        NativeLibraryError: the file is missing, cannot be loaded, or has been built from other sources.
-    """
-    what_to_do = f"reinstall skyherd, or in a checkout run `{BUILD_COMMAND}`"
-    if not path.exists():
-        raise NativeLibraryError(f"{path}: the compiled library is missing; {what_to_do}")
-    try:
-        functions = ctypes.CDLL(str(path))
-        functions.sources_version.restype = ctypes.c_char_p
-        version = functions.sources_version()
-    except (OSError, AttributeError) as error:
-        raise NativeLibraryError(
-            f"{path}: the compiled library cannot be loaded: {error}; {what_to_do}"
-        ) from None
-    if version.decode() != sources_version():
-        raise NativeLibraryError(f"{path}: the compiled library is of another version; {what_to_do}")
-    _declare(functions)
+def declared(functions: ctypes.CDLL) -> Library:
+    """Return a loaded library with the types of its functions declared."""
+    pointer, size, integer = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int32
+    parameters = ctypes.POINTER(SearchParameters)
+    search = (pointer, pointer, integer, integer, parameters, pointer, size)
+    signatures = {
+        "search_workspace_bytes": (size, integer, integer),
+        "search_mask": (integer, *search, pointer),
+        "search_quads": (integer, *search, pointer, pointer, integer),
+    }
+    declare(functions, signatures)
     return Library(functions)
 
 
-@lru_cache(maxsize=1)
+@cache
 def library() -> Library:
     """Return the library for this processor.
 
     Raises:
-        NativeLibraryError: as `load`.
+        NativeLibraryError: it is missing, cannot be loaded, or has been built from other sources.
     """
-    lowest = load(FOLDER / library_name(levels()[0]))
-    level = int(lowest.functions.processor_level())
-    return lowest if level == levels()[0] else load(FOLDER / library_name(level))
-
-
-def _declare(functions: ctypes.CDLL) -> None:
-    """Declare the types of the library's functions."""
-    pointer, size, integer = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int32
-    parameters = ctypes.POINTER(SearchParameters)
-    search = (pointer, pointer, integer, integer, parameters, pointer, size)
-    functions.processor_level.argtypes, functions.processor_level.restype = (), integer
-    functions.search_workspace_bytes.argtypes = (integer, integer)
-    functions.search_workspace_bytes.restype = size
-    functions.search_mask.argtypes, functions.search_mask.restype = (*search, pointer), integer
-    functions.search_quads.argtypes = (*search, pointer, pointer, integer)
-    functions.search_quads.restype = integer
+    return declared(library_of("vision"))
 
 
 def _check_plane(where: str, plane: object, shape: tuple[int, int] | None) -> None:

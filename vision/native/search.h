@@ -83,7 +83,5 @@ int32_t search_mask(const uint8_t *image, const uint8_t *places, int32_t width, 
 int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
                      const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes,
                      double *corners, int32_t *first_columns, int32_t max_quads);
-const char *sources_version(void);
-int32_t processor_level(void);
 
 #endif

@@ -9,8 +9,9 @@ import search_reference as reference
 from scipy.optimize import linear_sum_assignment
 
 from skyherd.errors import InputError
-from skyherd.vision.native import build
-from skyherd.vision.native.library import library, load
+from skyherd.native import build
+from skyherd.native.loading import load
+from skyherd.vision.native.library import declared, library
 from skyherd.vision.search.faint import find_faint_quads
 from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX, SHRINKS, find_quads, search_parameters, small_quads
 from skyherd.vision.search.regions import ENLARGEMENT, Mosaic, crowded_places
@@ -137,8 +138,11 @@ def test_masks_of_small_images_equal_opencv():
 def builds():
     """Return the libraries that this processor can load, by level."""
     best = int(library().functions.processor_level())
+    folder = build.sources_folder("vision")
     return {
-        level: load(build.FOLDER / build.library_name(level)) for level in build.levels() if level <= best
+        level: declared(load(folder / build.library_name("vision", level), folder))
+        for level in build.levels()
+        if level <= best
     }
 
 

@@ -1,4 +1,4 @@
-"""Build of the compiled library. In a checkout: `python vision/native/build.py`.
+"""Build of the compiled libraries. In a checkout: `python src/skyherd/native/build.py`.
 
 The module uses only the standard library, because `setup.py` loads it before skyherd is installed.
 """
@@ -12,12 +12,14 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 
-FOLDER = Path(__file__).parent
+LIBRARIES = ("vision",)
+"""Packages with C sources, each in a folder `native`; each has a library of its own."""
 
-SOURCES = ("means.c", "quads.c", "regions.c", "search.c")
-HEADERS = ("search.h",)
+COMMON_SOURCES = (Path(__file__).parent / "library.c",)
+"""Sources that every library has."""
 
 FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-Wall", "-Wextra")
 """Compiler flags. Without contraction and without errno, all builds round equally."""
@@ -30,11 +32,17 @@ GLIBC = "2.17"
 Command = tuple[str, ...]
 
 
-def sources_version() -> str:
-    """Return the hash of the sources and flags, 16 hexadecimal digits."""
+def sources_folder(package: str) -> Path:
+    """Return the folder `native` of a package, in the installed layout or in a checkout."""
+    installed = Path(__file__).parents[1] / package / "native"
+    return installed if installed.is_dir() else Path(__file__).parents[3] / package / "native"
+
+
+def sources_version(folder: Path) -> str:
+    """Return the hash of a folder's sources and of the flags, 16 hexadecimal digits."""
     digest = hashlib.sha256(" ".join(FLAGS).encode())
-    for name in (*HEADERS, *SOURCES):
-        digest.update((FOLDER / name).read_bytes().replace(b"\r\n", b"\n"))
+    for path in (*COMMON_SOURCES, *sorted([*folder.glob("*.h"), *folder.glob("*.c")])):
+        digest.update(path.name.encode() + path.read_bytes().replace(b"\r\n", b"\n"))
     return digest.hexdigest()[:16]
 
 
@@ -48,10 +56,10 @@ def levels() -> tuple[int, ...]:
     return (2, 3, 4) if is_x86_64() else (0,)
 
 
-def library_name(level: int) -> str:
-    """Return the file name of the library for a level."""
+def library_name(package: str, level: int) -> str:
+    """Return the file name of a package's library for a level."""
     suffix = {"win32": "dll", "darwin": "dylib"}.get(sys.platform, "so")
-    return f"libskyherd_vision_v{level}.{suffix}" if level else f"libskyherd_vision.{suffix}"
+    return f"libskyherd_{package}_v{level}.{suffix}" if level else f"libskyherd_{package}.{suffix}"
 
 
 def system_compiler() -> str | None:
@@ -70,18 +78,18 @@ def compiler_command(level: int) -> Command:
     return (sys.executable, "-m", "ziglang", "cc", *options)
 
 
-def compile_library(target: Path, command: Sequence[str]) -> None:
-    """Compile the sources into one shared library.
+def compile_library(folder: Path, target: Path, command: Sequence[str]) -> None:
+    """Compile the sources in a folder into one shared library.
 
     Raises:
         RuntimeError: the compiler failed; the message has its last line.
     """
     # A process that has loaded the former file keeps it, because the new one replaces it by its name.
     target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=target.parent) as folder:
-        made = Path(folder) / target.name
-        sources = [str(FOLDER / name) for name in SOURCES]
-        version = f'-DSKYHERD_SOURCES="{sources_version()}"'
+    with tempfile.TemporaryDirectory(dir=target.parent) as made_folder:
+        made = Path(made_folder) / target.name
+        sources = [str(path) for path in (*COMMON_SOURCES, *sorted(folder.glob("*.c")))]
+        version = f'-DSKYHERD_SOURCES="{sources_version(folder)}"'
         libraries = [] if sys.platform == "win32" else ["-lm"]
         whole = [*command, *FLAGS, version, "-shared", "-o", str(made), *sources, *libraries]
         ended = subprocess.run(whole, capture_output=True, text=True, check=False)
@@ -91,16 +99,22 @@ def compile_library(target: Path, command: Sequence[str]) -> None:
         made.replace(target)
 
 
-def build(folder: Path = FOLDER) -> list[Path]:
-    """Compile the libraries for all levels into a folder, and return their paths."""
-    targets = {level: folder / library_name(level) for level in levels()}
+def build(into: Path | None = None) -> list[Path]:
+    """Compile all libraries for all levels, and return their paths.
+
+    Args:
+        into: folder of the package skyherd, of which each library is put into the folder `native` of its
+            package; beside the sources if left out.
+    """
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        jobs = [
-            pool.submit(compile_library, path, compiler_command(level)) for level, path in targets.items()
-        ]
-        for job in jobs:
+        jobs = {}
+        for package, level in product(LIBRARIES, levels()):
+            folder = sources_folder(package)
+            target = (into / package / "native" if into else folder) / library_name(package, level)
+            jobs[target] = pool.submit(compile_library, folder, target, compiler_command(level))
+        for job in jobs.values():
             job.result()
-    return list(targets.values())
+    return list(jobs)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Loading of the compiled library: missing, stale and invalid files; memory safety under sanitizers."""
+"""Loading of compiled libraries: missing, stale and invalid files; memory safety under sanitizers."""
 
 import os
 import shutil
@@ -10,43 +10,45 @@ import numpy as np
 import pytest
 
 from skyherd.errors import NativeLibraryError
-from skyherd.vision.native import build
-from skyherd.vision.native.library import load
+from skyherd.native import build
+from skyherd.native.loading import load
+from skyherd.vision.native.library import declared
 
 LEVEL = build.levels()[0]
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
+SOURCES = build.sources_folder("vision")
+NAME = build.library_name("vision", LEVEL)
+
+
 def compiled(folder, *options):
     """Return the path of a library that is compiled into a folder."""
-    target = folder / build.library_name(LEVEL)
-    build.compile_library(target, [*build.compiler_command(LEVEL), *options])
-    return target
+    build.compile_library(SOURCES, folder / NAME, [*build.compiler_command(LEVEL), *options])
+    return folder / NAME
 
 
 def test_missing_library_names_the_command(tmp_path):
-    with pytest.raises(NativeLibraryError, match=r"missing.*python vision/native/build.py"):
-        load(tmp_path / "none.so")
+    with pytest.raises(NativeLibraryError, match=r"missing.*python src/skyherd/native/build.py"):
+        load(tmp_path / "none.so", SOURCES)
 
 
 def test_file_that_is_no_library_is_rejected(tmp_path):
-    path = tmp_path / build.library_name(LEVEL)
+    path = tmp_path / NAME
     path.write_bytes(b"no library")
     with pytest.raises(NativeLibraryError, match="cannot be loaded"):
-        load(path)
+        load(path, SOURCES)
 
 
-def test_library_of_other_sources_is_rejected(tmp_path, monkeypatch):
+def test_library_of_other_sources_is_rejected(tmp_path):
     """The build is that of the checkout, and then a source changes."""
-    for name in (*build.SOURCES, *build.HEADERS):
-        shutil.copy(build.FOLDER / name, tmp_path)
-    path = build.FOLDER / build.library_name(LEVEL)
-    monkeypatch.setattr(build, "FOLDER", tmp_path)
-    load(path)
-    with (tmp_path / build.SOURCES[0]).open("a") as source:
+    for path in [*SOURCES.glob("*.c"), *SOURCES.glob("*.h")]:
+        shutil.copy(path, tmp_path)
+    load(SOURCES / NAME, tmp_path)
+    with (tmp_path / "search.c").open("a") as source:
         source.write("/* changed */\n")
     with pytest.raises(NativeLibraryError, match="another version"):
-        load(path)
+        load(SOURCES / NAME, tmp_path)
 
 
 def test_compiler_failure_names_the_compiler(tmp_path):
@@ -59,7 +61,7 @@ def fuzz(path, seed=0, images=150):
     from skyherd.vision.search.quads import search_parameters
 
     rng = np.random.default_rng(seed)
-    library = load(Path(path))
+    library = declared(load(Path(path), SOURCES))
     found = 0
     for number in range(images):
         height, width = 2 * rng.integers(1, 36, 2)

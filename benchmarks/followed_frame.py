@@ -20,24 +20,14 @@ from photograph_stages import Stages, Stopwatch
 from skyherd.jobs.helpers import one_thread
 from skyherd.render import Sensor
 from skyherd.vision import PhotometricDetector, create_detector
+from skyherd.vision.native.library import Library
 from skyherd.vision.photometric import detector as stages
-from skyherd.vision.photometric.fitting.compiled import kernel
-from skyherd.vision.photometric.fitting.design_matrix import DesignMatrices
 
-PIXELS = (
-    ("scan_conversion", "list_pixels"),
-    ("round_blur", "fill"),
-    ("elliptic_blur", "fill"),
-    ("residual_sums", "add_over_cells"),
-    ("residual_sums", "add_over_boxes"),
-)
-"""Kernels over pixels, by module and name; the matrix products are `DesignMatrices.gram_matrices`."""
+PIXELS = ("list_pixels", "fill_round", "fill_elliptic", "cell_sums", "squared_box_sums", "gram_matrices")
+"""Functions of the compiled library over pixels."""
 
 STAGES: Stages = {
-    "pixels": [
-        *((kernel(module), name) for module, name in PIXELS),
-        (DesignMatrices, "gram_matrices"),
-    ],
+    "pixels": [(Library, name) for name in PIXELS],
     "looks": [(stages, name) for name in ("find_quads", "find_overlooked_quads", "find_faint_quads")],
     "search": [(PhotometricDetector, "_search")],
 }

@@ -16,7 +16,6 @@ from skyherd.vision.detectors.registry import (
     detector_names,
     explain_mirrored,
 )
-from skyherd.vision.detectors.warm_up import warm_up
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
@@ -44,5 +43,4 @@ __all__ = [
     "load_accuracy",
     "peer_names",
     "suggest",
-    "warm_up",
 ]

@@ -9,7 +9,6 @@ from live_processes import PATIENCE_S
 from PIL import Image
 
 from skyherd.errors import InputError
-from skyherd.live import unit_process
 from skyherd.live.lab import load_lab
 from skyherd.live.live_clock import LiveClock
 from skyherd.live.logs.process_log import ProcessLog
@@ -262,7 +261,6 @@ class TestUnitProcess:
         images.mkdir()
         Image.fromarray(np.full((120, 160), 90, np.uint8)).save(images / "0.png")
         look, report = UnitAtWork.look, UnitAtWork.report
-        monkeypatch.setattr(unit_process, "warm_up", lambda *given: order.append("warm"))
         monkeypatch.setattr(UnitAtWork, "look", lambda *given: order.append("looked") or look(*given))
         monkeypatch.setattr(UnitAtWork, "report", lambda *given: order.append("reported") or report(*given))
         monkeypatch.setattr(
@@ -270,4 +268,4 @@ class TestUnitProcess:
         )
         context = context_of(tmp_path / "run", lambda line: None, lambda: order[-1] == 90)
         run_unit(context, 0, address=str(images), dry_run=True)
-        assert order[0] == "warm" and order[-3:] == ["looked", "reported", 90]
+        assert order[-3:] == ["looked", "reported", 90]

@@ -15,7 +15,7 @@ from skyherd.native.loading import load
 from skyherd.vision.native.library import declared
 
 LEVEL = build.levels()[0]
-SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 
 
 SOURCES = build.sources_folder("vision")
@@ -24,7 +24,7 @@ NAME = build.library_name("vision", LEVEL)
 
 def compiled(folder, *options):
     """Return the path of a library that is compiled into a folder."""
-    build.compile_library(SOURCES, folder / NAME, [*build.compiler_command(LEVEL), *options])
+    build.compile_library(SOURCES, folder / NAME, build.compiler_command(LEVEL), options)
     return folder / NAME
 
 
@@ -74,7 +74,37 @@ def fuzz(path, seed=0, images=150):
     for size in [(1, 1), (1, 70), (70, 1), (0, 2), (-2, 2), (3, 4), (1 << 21, 2), (1 << 15, 1 << 15)]:
         assert library.functions.search_workspace_bytes(*size) == 0
         assert library.functions.search_quads(None, None, *size, None, None, 0, None, None, 0) < 0
-    return found
+    return found + fuzz_fit(library, rng)
+
+
+def fuzz_fit(library, rng, images=150):
+    """Read and draw markers of any size, shape and blur in random images; return the number of pixels."""
+    from skyherd.vision.native.library import MARKER, UNKNOWNS
+
+    pixels = 0
+    for _ in range(images):
+        height, width = (int(side) for side in rng.integers(1, 60, 2))
+        count, n = int(rng.integers(0, 4)), int(rng.integers(1, 21))
+        markers = np.zeros(count, dtype=MARKER)
+        for name in MARKER.names:
+            wild = rng.choice([0.0, 1e-300, 1e300, np.inf, np.nan, -1.0]) if rng.random() < 0.1 else None
+            markers[name] = 10 ** rng.uniform(-3, 0.5, count) if wild is None else wild
+        markers["center"] += rng.uniform(-20, 80, count) + 1j * rng.uniform(-20, 80, count)
+        markers["height_px"] *= 20
+        image = rng.integers(0, 256, (height, width), dtype=np.uint8)
+        cells = (rng.random((count, n + 2, n + 2)) < 0.5).astype(np.float32)
+        rows = library.list_pixels(markers, image.shape)
+        bends = np.zeros((len(rows.columns), 3), dtype=np.float32)
+        library.fill_elliptic(image, markers, rng.normal(size=(count, 6)), cells, 6.0, rows, bends)
+        library.fill_round(image, markers, cells, 6.0, rows)
+        solutions = rng.normal(size=(count, UNKNOWNS)).astype(np.float32)
+        library.gram_matrices(rows)
+        library.residuals(rows, solutions)
+        library.cell_sums(rows, solutions, n)
+        picked = np.arange(count)[rng.random(count) < 0.5]
+        library.squared_box_sums(rows, solutions, np.repeat(solutions[:, None], 3, axis=1), picked, 2)
+        pixels += len(rows.columns)
+    return pixels
 
 
 @pytest.mark.slow

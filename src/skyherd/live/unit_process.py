@@ -18,7 +18,7 @@ from skyherd.live.mailbox import Mailbox
 from skyherd.live.process_context import HeartbeatTimer, ProcessContext, StatusLine
 from skyherd.live.unit_core import UnitCore, UnitNews
 from skyherd.messages import Detections, FlightCommand
-from skyherd.vision import DeferringDetector, Detector, create_detector, warm_up
+from skyherd.vision import DeferringDetector, Detector, create_detector
 
 HEARS = ("report/**", "heartbeat/**", "arm/**", "stop/**")
 """Topics that a unit listens to, after the team's name."""
@@ -43,7 +43,6 @@ def run_unit(
     mailbox = context.mailbox(core.name, HEARS, lambda: core.latch)
     dictionary = lab.model.markers.dictionary
     detector = create_detector(camera.detector, dictionary=dictionary, deferring=True)
-    warm_up(camera.detector, dictionary)
     with ExitStack() as stack:
         process_log = stack.enter_context(context.process_log(core.name))
         status = StatusLine(context, process_log)

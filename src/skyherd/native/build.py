@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
@@ -21,7 +20,7 @@ LIBRARIES = ("vision",)
 COMMON_SOURCES = (Path(__file__).parent / "library.c",)
 """Sources that every library has."""
 
-FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-Wall", "-Wextra")
+FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-Wall", "-Wextra", "-Wno-psabi")
 """Compiler flags. Without contraction and without errno, all builds round equally."""
 
 COMPILERS = ("cc", "gcc", "clang")
@@ -78,8 +77,8 @@ def compiler_command(level: int) -> Command:
     return (sys.executable, "-m", "ziglang", "cc", *options)
 
 
-def compile_library(folder: Path, target: Path, command: Sequence[str]) -> None:
-    """Compile the sources in a folder into one shared library.
+def compile_library(folder: Path, target: Path, command: Command, options: Command = ()) -> None:
+    """Compile the sources in a folder into one shared library, with further options.
 
     Raises:
         RuntimeError: the compiler failed; the message has its last line.
@@ -91,7 +90,7 @@ def compile_library(folder: Path, target: Path, command: Sequence[str]) -> None:
         sources = [str(path) for path in (*COMMON_SOURCES, *sorted(folder.glob("*.c")))]
         version = f'-DSKYHERD_SOURCES="{sources_version(folder)}"'
         libraries = [] if sys.platform == "win32" else ["-lm"]
-        whole = [*command, *FLAGS, version, "-shared", "-o", str(made), *sources, *libraries]
+        whole = [*command, *FLAGS, *options, version, "-shared", "-o", str(made), *sources, *libraries]
         ended = subprocess.run(whole, capture_output=True, text=True, check=False)
         if ended.returncode:
             last = (ended.stderr.strip() or "no message").splitlines()[-1]

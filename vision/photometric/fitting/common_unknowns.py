@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, ComplexArray
+from skyherd.vision.native.library import UNKNOWNS
 from skyherd.vision.photometric.fitting.design_matrix import (
     ANISOTROPY,
     BLACK,
@@ -18,7 +19,6 @@ from skyherd.vision.photometric.fitting.design_matrix import (
     LIGHT,
     MIDDLE_GREY,
     TONE,
-    UNKNOWNS,
 )
 from skyherd.vision.photometric.fitting.fit_result import print_contrasts, weighted_median
 from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution

@@ -1,6 +1,6 @@
 """The linear model of a marker's pixels around a pose: its design matrix, drawn at the image's own pixels.
 
-With T what a blurred marker looks like (`kernels.blurred_edges`) at marker coordinates
+With T what a blurred marker looks like (`vision/native/columns.h`) at marker coordinates
 z = z(p) = x + iy, the grey level of pixel p is
 
     I(p) ≈ a + b T + b (T_z · δz + T_log σ δ log σ) + g (1 - A) + (l_x x + l_y y) (r + T) + c T (1 - T),
@@ -15,15 +15,15 @@ with these unknowns, 15 in all, of which eight make up a homography:
 - light l that changes over the marker;
 - a bend c of the tone curve, by which a camera's gamma shifts edges towards black.
 
-The marker and its derivatives are computed *at the image's own pixels* (`kernels`); the image itself is never
-resampled, so that its noise stays white.
+The marker and its derivatives are computed *at the image's own pixels* (`vision/native/fit.h`). The image
+is never resampled, so that its noise stays white.
 
 Blur that is round in the image is not round in the coordinates of a marker that is anisotropic. An anisotropy
 z ↦ z + e z̄ leaves there a blur of variances σ² (1 ∓ 2 e_x) and covariance -2 σ² e_y, to first order, and so
 changes T by `- e_x σ² (T_xx - T_yy) - 2 e_y σ² T_xy`. Towards the horizon the marker shrinks by `w^(-3/2)`
 with `w = 1 + Re(h̄ m z)`, so that the blur grows in its coordinates, and the anisotropy changes by `- h m̄ z
 / 2`. Blur that differs more along its directions, at a steep tilt or by a streak, is drawn as what it is
-(`blur_ellipses`, `kernels.elliptic_blur`).
+(`blur_ellipses`, `vision/native/elliptic_blur.c`).
 
 Ground seen through the blur near the card's edge has a texture, which the model does not describe. Pixels are
 therefore weighted by `1 / sqrt(1 + (t (1 - A))²)`, with t the texture's standard deviation over the noise:
@@ -38,12 +38,10 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
+from skyherd.vision.native.library import MARKER, UNKNOWNS, Floats, library
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
 from skyherd.vision.photometric.fitting.blur_ellipses import blur_tables
-from skyherd.vision.photometric.fitting.compiled import kernel
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-
-Floats = npt.NDArray[np.float32]
 
 BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND = range(8)
 """Indices of the unknowns with one component, in the order of the model's columns."""
@@ -53,9 +51,6 @@ ANISOTROPY, LIGHT, KEYSTONE = [8, 9], [10, 11], [12, 13]
 
 TONE = [14]
 """Index of the bend of the tone curve, in a list as those of two components are."""
-
-UNKNOWNS = 15
-"""Number of unknowns of a marker. Derived: the indices above."""
 
 PIXEL_ROW = UNKNOWNS
 """Index of the pixels' own values, which are stored beside the model's columns."""
@@ -104,21 +99,15 @@ class DesignMatrices:
         """
         self.rows = rows
         markers = _markers(homographies, appearances)
-        most = kernel("scan_conversion").count_pixels(markers, *image.shape)
-        self.bounds = np.empty(rows.size + 1, dtype=np.int64)
-        places, pixels = np.empty((most, 2), dtype=np.float32), np.empty((most, 2), dtype=np.int32)
-        size = kernel("scan_conversion").list_pixels(markers, *image.shape, self.bounds, places, pixels)
-        self.places, self.pixels = places[:size], pixels[:size]
-        self.columns = np.empty((size, UNKNOWNS + 1), dtype=np.float32)
+        self._data = library().list_pixels(markers, image.shape)
+        self.bounds, self.places = self._data.bounds, self._data.places
+        self.pixels, self.columns = self._data.pixels, self._data.columns
         self.bends = np.zeros((0, 3), dtype=np.float32)
         image, elliptic = np.ascontiguousarray(image), appearances.elliptic(homographies)
         if elliptic.any():
             self._fill_apart(image, markers, homographies, appearances, elliptic)
         else:
-            where = self.bounds, self.places, self.pixels
-            kernel("round_blur").fill(
-                image, markers, appearances.cells, appearances.texture, *where, self.columns
-            )
+            library().fill_round(image, markers, appearances.cells, appearances.texture, self._data)
         self.counts = np.diff(self.bounds)
 
     def _fill_apart(
@@ -134,22 +123,16 @@ class DesignMatrices:
         tables = blur_tables(homographies, markers["sigma"], appearances.streak_px2 or 0j)
         markers["keystone"] = np.where(elliptic, homographies.keystones(), markers["keystone"])
         runs = [0, *(np.flatnonzero(np.diff(elliptic)) + 1).tolist(), self.rows.size]
+        about = appearances.cells, appearances.texture, self._data
         for first, end in pairwise(runs):
-            own, cells = markers[first:end], appearances.cells[first:end]
-            where = self.bounds[first : end + 1], self.places, self.pixels
             if elliptic[first]:
-                given = own, tables[first:end], cells, appearances.texture, *where
-                kernel("elliptic_blur").fill(image, *given, self.columns, self.bends)
+                library().fill_elliptic(image, markers, tables, *about, self.bends, first, end)
             else:
-                kernel("round_blur").fill(image, own, cells, appearances.texture, *where, self.columns)
+                library().fill_round(image, markers, *about, first, end)
 
     def gram_matrices(self) -> Floats:
         """Return the inner products (N, 16, 16) of the weighted columns and the pixels."""
-        grams = np.empty((self.rows.size, UNKNOWNS + 1, UNKNOWNS + 1), dtype=np.float32)
-        for number, (begin, end) in enumerate(pairwise(self.bounds.tolist())):
-            own = self.columns[begin:end]
-            np.matmul(own.T, own, out=grams[number])
-        return grams
+        return library().gram_matrices(self._data)
 
     def restrict(self, used: BoolArray) -> None:
         """Set all pixels to zero, in place, but those marked in `used` (P,)."""
@@ -172,11 +155,7 @@ class DesignMatrices:
 
     def residuals(self, solutions: Array) -> Floats:
         """Return the weighted residuals (P,), grey levels, of the model at `solutions` (N, 15)."""
-        return np.asarray(
-            kernel("residual_sums").residuals(
-                self.columns, self.bounds, np.ascontiguousarray(solutions, dtype=np.float32)
-            )
-        )
+        return library().residuals(self._data, np.ascontiguousarray(solutions, dtype=np.float32))
 
     def cell_residuals(self, solutions: Array, n_cells: int) -> tuple[Array, Array]:
         """Return what the model at `solutions` (N, 15) leaves of the pixels, grey levels.
@@ -202,12 +181,8 @@ class DesignMatrices:
             The sums (P, K) over all small boxes, and over all large ones, of the square of what influence
             times residual adds up to in a box; and the number (P,) of large boxes that have pixels.
         """
-        small, large = (np.zeros((picked.size, influences.shape[1])) for _ in range(2))
-        boxes = np.zeros(picked.size, dtype=np.int64)
         model, by = (np.ascontiguousarray(factors, dtype=np.float32) for factors in (solutions, influences))
-        pixels = self.columns, self.pixels, self.bounds
-        kernel("residual_sums").add_over_boxes(*pixels, picked, model, by, box_px, small, large, boxes)
-        return small, large, boxes
+        return library().squared_box_sums(self._data, model, by, picked, box_px)
 
     def cell_support(self, n_cells: int) -> Array:
         """Return the share (N, n, n) of each cell's pixels that is used; 0 for a cell off the image."""
@@ -216,22 +191,18 @@ class DesignMatrices:
 
     def _sums_over_cells(self, solutions: Array, n_cells: int) -> tuple[Array, Array, Array, Array]:
         """Residuals, pixels used and pixels read over each cell (N, n, n), and largest residuals (N,)."""
-        sums, used, read = np.zeros((3, self.rows.size, n_cells, n_cells))
-        peaks, model = np.zeros(self.rows.size), np.ascontiguousarray(solutions, dtype=np.float32)
-        kernel("residual_sums").add_over_cells(
-            self.columns, self.places, self.bounds, model, sums, used, read, peaks
-        )
-        return sums, used, read, peaks
+        model = np.ascontiguousarray(solutions, dtype=np.float32)
+        return library().cell_sums(self._data, model, n_cells)
 
 
 def _markers(homographies: LocalHomographies, appearances: MarkerAppearances) -> npt.NDArray[np.void]:
-    """Return the records (N,), `MARKER`, from which the kernel draws markers.
+    """Return the records (N,), `MARKER`, from which markers are drawn.
 
     In the coordinates of a marker that is anisotropic by e = k / m, blur that is round in the image has
     standard deviations `σ |1 ∓ e| / sqrt(1 + |e|²)` along x and y, with σ that of their mean variance
     (`LocalHomographies.blurs`).
     """
-    markers = np.zeros(len(homographies), dtype=kernel("marker_record").MARKER)
+    markers = np.zeros(len(homographies), dtype=MARKER)
     limits, relative = appearances.read_limits, homographies.anisotropies / homographies.similarities
     strips = limits / (1 - np.minimum(np.abs(homographies.keystones()) * np.sqrt(2) * limits, MAX_GROWTH))
     right = homographies.similarities + homographies.anisotropies

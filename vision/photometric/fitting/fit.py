@@ -16,6 +16,7 @@ import numpy as np
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.grey import Image
+from skyherd.vision.native.library import UNKNOWNS
 from skyherd.vision.photometric.fitting import design_matrix
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances, appearances_of
 from skyherd.vision.photometric.fitting.common_unknowns import hold_common_unknowns
@@ -26,7 +27,6 @@ from skyherd.vision.photometric.fitting.design_matrix import (
     CONTRAST,
     KEYSTONE,
     MIDDLE_GREY,
-    UNKNOWNS,
     DesignMatrices,
 )
 from skyherd.vision.photometric.fitting.fit_result import FitResults, fit_results_of, pose_influences

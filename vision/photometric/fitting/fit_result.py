@@ -7,15 +7,9 @@ import numpy as np
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.messages import Quality
+from skyherd.vision.native.library import UNKNOWNS
 from skyherd.vision.photometric.fitting import design_matrix
-from skyherd.vision.photometric.fitting.design_matrix import (
-    ANISOTROPY,
-    BLACK,
-    BLUR,
-    CONTRAST,
-    MIDDLE_GREY,
-    UNKNOWNS,
-)
+from skyherd.vision.photometric.fitting.design_matrix import ANISOTROPY, BLACK, BLUR, CONTRAST, MIDDLE_GREY
 from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.row_record import RowRecord

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.vision.photometric.fitting.compiled import kernel
-from skyherd.vision.photometric.fitting.design_matrix import CONTRAST, GROUND, PIXEL_ROW, UNKNOWNS
+from skyherd.vision.native.library import UNKNOWNS, library
+from skyherd.vision.photometric.fitting.design_matrix import CONTRAST, GROUND, PIXEL_ROW
 
 GROUND_RIDGE = 3e-4
 """Added to the ground's diagonal element of the normal matrix, since there may be no ground to be seen: a
@@ -95,13 +95,12 @@ class LeastSquaresSolution:
 
     def _drawn(self, unknowns: list[int], at: Array, variances: Array, free: int) -> "LeastSquaresSolution":
         """Return the solution with unknowns drawn towards values, by the module's formula, two at a time."""
-        values, inverse_normals, squares = self.values, self.inverse_normals, self.residual_squares
+        values, inverse_normals = self.values.copy(), self.inverse_normals.copy()
+        squares = self.residual_squares.copy()
         for begin in range(0, len(unknowns), 2):
-            pair = slice(begin, begin + 2)
-            towards = np.array(unknowns[pair]), np.ascontiguousarray(at[:, pair], dtype=float), variances
-            drawn = np.empty_like(values), np.empty_like(inverse_normals), np.empty_like(squares)
-            kernel("held_unknowns").draw(values, inverse_normals, squares, *towards, *drawn)
-            values, inverse_normals, squares = drawn
+            pair = unknowns[begin : begin + 2]
+            targets = np.ascontiguousarray(at[:, begin : begin + 2], dtype=float), variances
+            library().hold_unknowns(values, inverse_normals, squares, (pair[0], pair[-1]), *targets)
         return LeastSquaresSolution(values, inverse_normals, squares, self.pixels, free)
 
     def noise_stds(self) -> Array:

@@ -17,9 +17,10 @@ import numpy as np
 from skyherd.geometry import UNIFORM_VARIANCE, Array
 from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.grey import Image
+from skyherd.vision.native.library import UNKNOWNS
 from skyherd.vision.photometric.fitting.appearance import appearances_of
 from skyherd.vision.photometric.fitting.common_unknowns import on_common_plane, with_common_tone
-from skyherd.vision.photometric.fitting.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE, UNKNOWNS
+from skyherd.vision.photometric.fitting.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE
 from skyherd.vision.photometric.fitting.fit import PixelSamples, image_middle, stepped
 from skyherd.vision.photometric.fitting.fit_result import FitResults, fit_results_of
 from skyherd.vision.photometric.fitting.plane import Plane

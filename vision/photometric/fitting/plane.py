@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skyherd.geometry import Array, ComplexArray
-from skyherd.vision.photometric.fitting.compiled import kernel
+from skyherd.vision.native.library import library
 
 SIGNIFICANT = 14.0
 """Fall of the chi-squared by which two more unknowns must earn their place. Derived: chance reaches
@@ -125,10 +125,7 @@ def fit_plane_to_all(points: ComplexArray, anisotropies: ComplexArray, variances
     """
     if not np.isfinite(variances).any():
         return Plane()
-    covariance = np.empty((2, 2), dtype=complex)
     limits = np.array([SIGNIFICANT, EXCESS, CONVERGED, PERSPECTIVE_RIDGE])
-    given = (np.ascontiguousarray(values) for values in (points, anisotropies, variances))
-    anisotropy, perspective, shared = kernel("plane_fit").fit_plane_to_all(
-        *given, limits, MAX_ROUNDS, covariance
-    )
-    return Plane(anisotropy, perspective, shared, covariance)
+    points, anisotropies = np.ascontiguousarray(points), np.ascontiguousarray(anisotropies)
+    given = points, anisotropies, np.ascontiguousarray(variances)
+    return Plane(*library().fit_plane(*given, limits, MAX_ROUNDS))

@@ -17,9 +17,10 @@ import numpy as np
 
 from skyherd.geometry import Array
 from skyherd.vision.grey import Image
+from skyherd.vision.native.library import UNKNOWNS
 from skyherd.vision.photometric.fitting.appearance import appearances_of
 from skyherd.vision.photometric.fitting.blur_ellipses import second_derivative_maps
-from skyherd.vision.photometric.fitting.design_matrix import UNKNOWNS, DesignMatrices
+from skyherd.vision.photometric.fitting.design_matrix import DesignMatrices
 from skyherd.vision.photometric.fitting.fit_result import FitResults
 from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.fitting.plane import Plane

@@ -9,6 +9,7 @@ import pytest
 from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.geometry import to_complex
+from skyherd.vision.native.library import MarkerRows, library
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.fitting import common_unknowns
 from skyherd.vision.photometric.fitting.correlated_noise import (
@@ -19,7 +20,7 @@ from skyherd.vision.photometric.fitting.correlated_noise import (
     PooledRatios,
     box_ratios,
 )
-from skyherd.vision.photometric.fitting.design_matrix import BLACK, UNKNOWNS, DesignMatrices
+from skyherd.vision.photometric.fitting.design_matrix import BLACK, UNKNOWNS
 
 DICTIONARY, NOISE = "4X4_50", 5.0
 
@@ -36,25 +37,26 @@ def box_sums_by_hand(values, u, v, box_px):
 def test_boxes_are_added_up_as_by_hand():
     """Of markers with 300 random pixels of 64 x 64, with 200, a third of them left out, and with none."""
     rng = np.random.default_rng(0)
-    pixels = DesignMatrices.__new__(DesignMatrices)
-    pixels.rows, pixels.bounds = np.arange(3), np.array([0, 300, 500, 500])
-    pixels.columns = rng.normal(size=(500, UNKNOWNS + 1)).astype(np.float32)
-    pixels.columns[:, BLACK] = np.abs(pixels.columns[:, BLACK])
-    pixels.restrict((np.arange(500) < 300) | (rng.random(500) < 2 / 3))
+    bounds = np.array([0, 300, 500, 500])
+    columns = rng.normal(size=(500, UNKNOWNS + 1)).astype(np.float32)
+    columns[:, BLACK] = np.abs(columns[:, BLACK])
+    columns *= ((np.arange(500) < 300) | (rng.random(500) < 2 / 3))[:, None]
     places = np.concatenate([rng.permutation(64 * 64)[:count] for count in (300, 200)])
     # Boxes are counted from the first pixel that is used, so that large ones are aligned with it.
-    places[[0, 300]], pixels.columns[300, BLACK] = 0, 1.0
-    pixels.pixels = np.stack(np.divmod(places, 64), axis=1).astype(np.int32)
-    solutions, influences = rng.normal(size=(3, UNKNOWNS)), rng.normal(size=(3, 3, UNKNOWNS))
-    small, large, boxes = pixels.squared_box_sums(solutions, influences, np.array([1, 2, 0]), 2)
-    residuals = pixels.residuals(solutions)
+    places[[0, 300]], columns[300, BLACK] = 0, 1.0
+    pixels = np.stack(np.divmod(places, 64), axis=1).astype(np.int32)
+    rows = MarkerRows(bounds, np.zeros((500, 2), np.float32), pixels, columns)
+    solutions = rng.normal(size=(3, UNKNOWNS)).astype(np.float32)
+    influences = rng.normal(size=(3, 3, UNKNOWNS)).astype(np.float32)
+    small, large, boxes = library().squared_box_sums(rows, solutions, influences, np.array([1, 2, 0]), 2)
+    residuals = library().residuals(rows, solutions)
     assert not small[1].any() and not large[1].any() and not boxes[1]
     for place, marker in ((0, 1), (2, 0)):
-        own = np.arange(pixels.bounds[marker], pixels.bounds[marker + 1])
-        own = own[pixels.columns[own, BLACK] > 0]
-        v, u = pixels.pixels[own].T
+        own = np.arange(bounds[marker], bounds[marker + 1])
+        own = own[columns[own, BLACK] > 0]
+        v, u = pixels[own].T
         for quantity in range(3):
-            values = pixels.columns[own, :UNKNOWNS] @ influences[marker, quantity] * residuals[own]
+            values = columns[own, :UNKNOWNS] @ influences[marker, quantity] * residuals[own]
             expected, _ = box_sums_by_hand(values, u, v, 2)
             assert small[place, quantity] == pytest.approx(expected, rel=1e-5)
             expected, count = box_sums_by_hand(values, u, v, 4)

@@ -1,7 +1,5 @@
 """The pixels of markers and the linear model's columns at them, against the same in NumPy, pixel by pixel."""
 
-import subprocess
-import sys
 import tracemalloc
 
 import numpy as np
@@ -365,13 +363,6 @@ def test_a_view_of_an_image_is_read_as_its_copy_is():
     np.testing.assert_array_equal(
         read(view, where, usual(1)).columns, read(view.copy(), where, usual(1)).columns
     )
-
-
-def test_numba_is_not_imported_before_pixels_are_read():
-    """So that commands that detect nothing do not wait for it."""
-    code = "import sys, skyherd.vision, skyherd.vision.photometric.detector; print('numba' in sys.modules)"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert said.strip() == "False"
 
 
 def test_pixels_near_outliers_are_those_within_the_margin():

@@ -1,0 +1,152 @@
+"""Compiled functions of the fit: equal bytes on every build, and their checks of arguments.
+
+Their values are checked where they are used: columns by `test_design_matrix` and `test_elliptic_blur`, sums
+by `test_correlated_noise`, held unknowns by `test_least_squares` and planes by `test_plane`.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skyherd.errors import InputError
+from skyherd.native import build
+from skyherd.native.loading import load
+from skyherd.vision.native.library import COLUMNS, MARKER, UNKNOWNS, declared, library
+
+N_CELLS = 6
+SIGMAS = (0.01, 0.05, 0.09, 0.12, 0.3)
+"""Blurs of 0.06 to 1.8 cells, in sides: 2, 4, 6 and 8 edges in reach, and all of them."""
+
+BLURS = np.array([[s**2, (1.5 * s) ** 2, 0.5 * s**2, 2 * s**2, 4.5 * s**2, s**2] for s in SIGMAS])
+"""The same along x, and half as much more along y, correlated by a third."""
+
+
+def image_of(seed=0):
+    return np.random.default_rng(seed).integers(0, 256, (120, 160), dtype=np.uint8)
+
+
+def markers_of(seed=0):
+    """Five markers of 13 to 40 px across the image, one of them over its edge."""
+    rng, markers = np.random.default_rng(seed), np.zeros(len(SIGMAS), dtype=MARKER)
+    sides = rng.uniform(13, 40, len(SIGMAS)) * np.exp(2j * np.pi * rng.random(len(SIGMAS)))
+    markers["center"] = rng.uniform(0, 160, len(SIGMAS)) + 1j * rng.uniform(0, 120, len(SIGMAS))
+    markers["x_axis"], markers["y_axis"] = sides / np.abs(sides) ** 2, 1j * sides / np.abs(sides) ** 2
+    markers["perspective"], markers["keystone"] = 1e-3 + 5e-4j, 0.02 + 0.01j
+    markers["limit"], markers["strip"], markers["half_card"] = 0.6, 0.7, 0.66
+    markers["height_px"], markers["sigma"] = np.abs(sides), SIGMAS
+    markers["black_ratio"], markers["x_stretch"], markers["y_stretch"] = 0.15, 0.9, 1.1
+    return markers
+
+
+def cells_of(seed=0):
+    cells = np.zeros((len(SIGMAS), N_CELLS + 2, N_CELLS + 2), dtype=np.float32)
+    cells[:, 1:-1, 1:-1] = np.random.default_rng(seed).random((len(SIGMAS), N_CELLS, N_CELLS)) < 0.5
+    return cells
+
+
+def bytes_of(build_of_library):
+    """Return the bytes of all results of all functions, on the same input."""
+    rng, markers, results = np.random.default_rng(1), markers_of(), []
+    for is_elliptic in (False, True):
+        rows = build_of_library.list_pixels(markers, (120, 160))
+        bends = np.zeros((len(rows.columns), 3), dtype=np.float32)
+        if is_elliptic:
+            build_of_library.fill_elliptic(image_of(), markers, BLURS, cells_of(), 6.0, rows, bends)
+        else:
+            build_of_library.fill_round(image_of(), markers, cells_of(), 6.0, rows)
+        solutions = rng.normal(size=(len(markers), UNKNOWNS)).astype(np.float32)
+        influences = rng.normal(size=(len(markers), 3, UNKNOWNS)).astype(np.float32)
+        grams = build_of_library.gram_matrices(rows)
+        results += [rows.bounds, rows.places, rows.pixels, rows.columns, bends, grams]
+        results += [build_of_library.residuals(rows, solutions)]
+        results += build_of_library.cell_sums(rows, solutions, N_CELLS)
+        results += build_of_library.squared_box_sums(rows, solutions, influences, np.array([4, 1]), 2)
+        values, squares = rng.normal(size=(5, UNKNOWNS)), np.ones(5)
+        normals = np.linalg.inv(grams[:, :UNKNOWNS, :UNKNOWNS].astype(float) + np.eye(UNKNOWNS))
+        for unknowns in ((2, 2), (8, 9)):
+            at = np.zeros((5, len(set(unknowns))))
+            build_of_library.hold_unknowns(values, normals, squares, unknowns, at, np.ones(5))
+        results += [values, normals, squares]
+    points = 100 * (rng.normal(size=9) + 1j * rng.normal(size=9))
+    anisotropies = 0.1 + 0.05j - points * 1e-3 + 1e-3 * rng.normal(size=9)
+    limits = np.array([14.0, 6.0, 1e-7, 1e-12])
+    *plane, covariance = build_of_library.fit_plane(points, anisotropies, np.full(9, 1e-6), limits, 40)
+    return b"".join(np.ascontiguousarray(one).tobytes() for one in [*results, np.array(plane), covariance])
+
+
+def test_builds_give_equal_bytes():
+    folder, best = build.sources_folder("vision"), int(library().functions.processor_level())
+    levels = [level for level in build.levels() if level <= best]
+    builds = [declared(load(folder / build.library_name("vision", level), folder)) for level in levels]
+    assert len({bytes_of(one) for one in builds}) == 1
+
+
+@pytest.mark.parametrize("reach_cells", [1, 2, 3, 4])
+def test_one_more_edge_on_either_side_changes_little(reach_cells):
+    """Beyond the reach, edges add 3e-7 to Φ, and 8e-6 to its curvature; to few columns by several of them."""
+    markers, columns = markers_of(), []
+    for factor in (1 - 1e-7, 1 + 1e-7):
+        markers["sigma"] = factor * reach_cells / (5 * N_CELLS)
+        rows = library().list_pixels(markers, (120, 160))
+        library().fill_round(image_of(), markers, cells_of(), 6.0, rows)
+        columns.append(rows.columns)
+    assert not np.array_equal(*columns)
+    np.testing.assert_allclose(*columns, atol=5e-5, rtol=1e-5)
+
+
+def changed_rows(name):
+    """Return rows of which one array is invalid."""
+    rows = library().list_pixels(markers_of(), (120, 160))
+    arrays = {
+        "bounds of int32": {"bounds": rows.bounds.astype(np.int32)},
+        "bounds beyond the rows": {"bounds": rows.bounds + 1},
+        "bounds that descend": {"bounds": rows.bounds[::-1].copy()},
+        "negative bounds": {"bounds": rows.bounds - 1},
+        "columns of other rows": {"columns": np.zeros((3, COLUMNS), np.float32)},
+        "strided columns": {"columns": np.zeros((len(rows.columns), 2 * COLUMNS), np.float32)[:, ::2]},
+        "pixels beyond the image": {"pixels": rows.pixels + 160},
+        "negative pixels": {"pixels": -1 - rows.pixels},
+    }
+    return replace(rows, **arrays[name])
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("bounds of int32", "bounds beyond the rows", "bounds that descend", "negative bounds"),
+        *("columns of other rows", "strided columns", "pixels beyond the image", "negative pixels"),
+    ],
+)
+def test_invalid_rows_are_rejected(name):
+    rows, bends = changed_rows(name), np.zeros((10**5, 3), np.float32)
+    with pytest.raises(InputError):
+        library().fill_round(image_of(), markers_of(), cells_of(), 6.0, rows)
+    with pytest.raises(InputError):
+        library().fill_elliptic(
+            image_of(), markers_of(), BLURS, cells_of(), 6.0, rows, bends[: len(rows.columns)]
+        )
+    if "pixels" not in name:
+        with pytest.raises(InputError):
+            library().gram_matrices(rows)
+
+
+def test_invalid_sizes_are_rejected():
+    rows = library().list_pixels(markers_of(), (120, 160))
+    library().fill_round(image_of(), markers_of(), cells_of(), 6.0, rows)
+    model = np.zeros((len(SIGMAS), UNKNOWNS), dtype=np.float32)
+    with pytest.raises(InputError):
+        library().fill_round(image_of(), markers_of(), np.zeros((5, 30, 30), np.float32), 6.0, rows)
+    with pytest.raises(InputError):
+        library().cell_sums(rows, model, 21)
+    with pytest.raises(InputError):
+        library().residuals(rows, model[:3])
+    for picked, box_px in (([5], 2), ([-1], 2), ([0], 0)):
+        with pytest.raises(InputError):
+            library().squared_box_sums(rows, model, model[:, None], np.array(picked), box_px)
+    with pytest.raises(InputError):
+        library().hold_unknowns(
+            np.zeros((1, 15)), np.zeros((1, 15, 15)), np.zeros(1), (3, 15), np.zeros((1, 2)), np.zeros(1)
+        )
+    with pytest.raises(InputError):
+        library().list_pixels(np.zeros(3), (120, 160))

@@ -1,0 +1,155 @@
+/* Columns of the model under blur that differs much along its directions: at a steep tilt, or by a streak.
+ *
+ * The blur is any Gaussian, of variances σ_x² and σ_y² along the marker's axes and correlation ρ. Along the axes it
+ * separates; the correlation follows by Mehler's series,
+ *
+ *     G = Σ_n ρⁿ / n! (σ_x σ_y ∂_x ∂_y)ⁿ F,
+ *
+ * with F the marker under the same variances without correlation. Terms from n = 1 on are zero but at cells' corners. The
+ * series is summed up to n = 4 in the marker, and up to n = 1 in its slopes, which decide how fast a fit converges, not
+ * where to. At a correlation of 0.8, that of a tilt of 70 degrees at its worst, the next term is 0.4 % of the contrast at
+ * corners, and at 0.6, that of 60 degrees, 0.1 %.
+ *
+ * Seen in perspective, with the image p = A z / w, w = 1 + q·z, a pixel's own blur is w² (1 + z qᵀ) Σ (1 + q zᵀ) where Σ is
+ * that at the marker's centre: the inverse of p's derivative is w (1 + z qᵀ) A⁻¹.
+ */
+#include "columns.h"
+
+/* Blur of a marker at its centre, by how much it changes with its logarithm, and its growth along the keystone q. */
+typedef struct {
+    float xx, yy, xy, by_xx, by_yy, by_xy;
+    float grow_x, grow_y, grow; /* components of Σ q, and q·Σ q */
+} CentreBlur;
+
+static CentreBlur centre_blur(const Marker *marker, const double *blur) {
+    CentreBlur made = {.xx = (float)blur[0], .yy = (float)blur[1], .xy = (float)blur[2],
+                       .by_xx = 0.5f * (float)blur[3], .by_yy = 0.5f * (float)blur[4], .by_xy = (float)blur[5]};
+    const float qx = (float)marker->keystone.re, qy = (float)marker->keystone.im;
+    made.grow_x = made.xx * qx + made.xy * qy;
+    made.grow_y = made.xy * qx + made.yy * qy;
+    made.grow = qx * made.grow_x + qy * made.grow_y;
+    return made;
+}
+
+/* Standard deviations of the blur along x and y at pixels, their inverses, and the correlation. */
+typedef struct { Floats sigma_x, sigma_y, x_rate, y_rate, correlation; } PixelBlur;
+
+INLINE PixelBlur blur_at(const CentreBlur *blur, Floats x, Floats y, Floats w_square) {
+    PixelBlur own;
+    own.sigma_x = square_root(w_square * (blur->xx + 2.0f * x * blur->grow_x + x * x * blur->grow));
+    own.sigma_y = square_root(w_square * (blur->yy + 2.0f * y * blur->grow_y + y * y * blur->grow));
+    own.x_rate = 1.0f / own.sigma_x;
+    own.y_rate = 1.0f / own.sigma_y;
+    const Floats covariance =
+        w_square * (blur->xy + x * blur->grow_y + y * blur->grow_x + x * y * blur->grow);
+    own.correlation = covariance * own.x_rate * own.y_rate;
+    return own;
+}
+
+/* Return w² of the perspective at pixels, px from the centre: (1 / (1 - Re(h̄ p)))². */
+INLINE Floats w_square_at(const Marker *marker, const Block *block) {
+    Floats square = {0};
+    for (int i = 0; i < LANES; i++) {
+        const double right = block->u[i] - marker->center.re, below = block->v[i] - marker->center.im;
+        const double w = 1 / (1 - (marker->perspective.re * right + marker->perspective.im * below));
+        square[i] = (float)(w * w);
+    }
+    return square;
+}
+
+/* G, σ_x G_x, σ_y G_y, σ_x² G_xx, σ_x σ_y G_xy and σ_y² G_yy. */
+typedef struct { Floats g, x, y, xx, xy, yy; } Blurred;
+
+/* Return the sums over rows and columns of cells, with f[i][j] the i-th derivative along x and the j-th along y. */
+INLINE Blurred blurred_at(int count, const CellBits *bits, const Edges *across, const Edges *down, Floats rho) {
+    enum { X = MAX_ORDERS };
+    Floats above[X], here[X], f[X][X];
+    sum_row(count, X, cells_of(bits, across, down, 0), across, above);
+    for (int i = 0; i < X; i++)
+        for (int j = 0; j < X; j++) f[i][j] = j == 0 ? above[i] : (Floats){0};
+    for (int e = 0; e < count; e++) {
+        sum_row(count, X, cells_of(bits, across, down, e + 1), across, here);
+        for (int i = 0; i < X; i++) {
+            const Floats change = here[i] - above[i];
+            for (int j = 0; j < X; j++)
+                if (j < 3 || i == j || (i == 1 && j == 3)) f[i][j] += down->orders[j][e] * change;
+            above[i] = here[i];
+        }
+    }
+    const Floats square = rho * rho, fourth = (1.0f / 24.0f) * f[4][4], third = (1.0f / 6.0f) * f[3][3];
+    return (Blurred){
+        .g = f[0][0] + rho * f[1][1] + square * (0.5f * f[2][2] + rho * (third + rho * fourth)),
+        .x = f[1][0] + rho * f[2][1],
+        .y = f[0][1] + rho * f[1][2],
+        .xx = f[2][0] + rho * f[3][1],
+        .xy = f[1][1] + rho * f[2][2],
+        .yy = f[0][2] + rho * f[1][3],
+    };
+}
+
+/* Return T and its derivatives, and write T_xx, T_xy and T_yy times the weights. */
+INLINE Shown shown_of(const Blurred *sums, const CentreBlur *blur, const PixelBlur *own, Floats w_square, Ground ground,
+                      int count, float *bends) {
+    const Floats xx = -sums->xx * own->x_rate * own->x_rate, xy = -sums->xy * own->x_rate * own->y_rate,
+                 yy = -sums->yy * own->y_rate * own->y_rate;
+    const Floats bend_xx = xx * ground.weight, bend_xy = xy * ground.weight, bend_yy = yy * ground.weight;
+    for (int i = 0; i < count; i++) {
+        bends[3 * i] = bend_xx[i];
+        bends[3 * i + 1] = bend_xy[i];
+        bends[3 * i + 2] = bend_yy[i];
+    }
+    const Floats log_blur = w_square * (blur->by_xx * xx + blur->by_yy * yy + blur->by_xy * xy);
+    return (Shown){1.0f - sums->g, -sums->x * own->x_rate * ground.weight, -sums->y * own->y_rate * ground.weight,
+                   log_blur, ground};
+}
+
+/* Fill in the rows of one marker; `count` edges along each axis, of which all are if `is_all`. */
+INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerRows *given, int64_t k,
+                        const CentreBlur *blur, float *bends) {
+    const Marker *marker = scene->markers + k;
+    const int64_t sides = scene->n + 2, end = given->bounds[k + 1];
+    const CellBits bits = bits_of(scene->cells + k * sides * sides, scene->n);
+    const float n = (float)scene->n, half = n / 2, half_card = (float)marker->half_card;
+    Edges across, down;
+    for (int64_t row = given->bounds[k]; row < end; row += LANES) {
+        const Block block = block_of(scene, given, row, end);
+        const Floats x = block.x, y = block.y, w_square = w_square_at(marker, &block);
+        const PixelBlur own = blur_at(blur, x, y, w_square);
+        compute_edges(count, is_all, MAX_ORDERS, scene->n, x * n + half, own.x_rate / n, &across);
+        compute_edges(count, is_all, MAX_ORDERS, scene->n, y * n + half, own.y_rate / n, &down);
+        const Blurred sums = blurred_at(count, &bits, &across, &down, own.correlation);
+        Ground ground = {{0}, all(1.0f)};
+        if (marker->half_card < INFINITY)
+            ground = ground_at(x, y, half_card, own.x_rate, own.y_rate, scene->texture_square);
+        const Shown shown = shown_of(&sums, blur, &own, w_square, ground, block.count, bends + 3 * row);
+        write_columns(&shown, x, y, (float)marker->black_ratio, block.grey, block.count,
+                      given->columns + row * COLUMNS);
+    }
+}
+
+/* Return the largest reach of the blur at a marker's pixels, in cells. */
+static float reach_of(const Scene *scene, const MarkerRows *given, int64_t k, const CentreBlur *blur) {
+    Floats largest = {0};
+    for (int64_t row = given->bounds[k]; row < given->bounds[k + 1]; row += LANES) {
+        const Block block = block_of(scene, given, row, given->bounds[k + 1]);
+        const PixelBlur own = blur_at(blur, block.x, block.y, w_square_at(scene->markers + k, &block));
+        largest = larger(largest, larger(own.sigma_x, own.sigma_y));
+    }
+    float reach = 0;
+    for (int i = 0; i < LANES; i++) reach = largest[i] > reach ? largest[i] : reach;
+    return REACH_SIGMAS * (float)scene->n * reach;
+}
+
+/* Fill in the weighted columns as `fill_round`, and bends (rows, 3): T_xx, T_xy and T_yy, weighted.
+ *
+ * Of the markers, sigma, anisotropy and the stretches are not used. blurs (count, 6) are the variances along x and y and
+ * the covariance of the blur, in sides squared, and by how much each of them changes with the logarithm of the blur. */
+int32_t fill_elliptic(const Scene *scene, const MarkerRows *given, const double *blurs, float *bends) {
+    if (!are_valid(scene, given)) return FIT_INVALID_SIZE;
+    for (int64_t k = 0; k < given->count; k++) {
+        const CentreBlur blur = centre_blur(scene->markers + k, blurs + 6 * k);
+        if (reach_of(scene, given, k, &blur) <= 2) fill_marker(4, 0, scene, given, k, &blur, bends);
+        else fill_marker(scene->n + 1, 1, scene, given, k, &blur, bends);
+    }
+    return 0;
+}

@@ -1,0 +1,118 @@
+/* Pixels of markers, line by line, and their places on the marker.
+ *
+ * With a pixel's offset p from the centre, px, its marker coordinates are
+ *
+ *     z = (Re(X̄ p) + i Re(Ȳ p)) / (1 - Re(h̄ p))
+ *
+ * of the axes X and Y and the perspective h. A marker has the pixels where neither |x| nor |y| is above its limit. They lie
+ * between two strips about its axes, which are wider by what the perspective adds: only these are looked through.
+ */
+#include "fit.h"
+
+#include <math.h>
+
+/* Smallest slope along a line, sides per px, that is divided by. Chosen far below 1 / image width, so that the bounds of
+ * an axis at right angles to the line lie outside any image. */
+static const double MIN_AXIS_PER_PX = 1e-12;
+
+enum { CHUNK = 64 };
+
+typedef struct { int64_t first, last; } Range;
+
+static const Range NONE = {0, -1};
+
+/* Return the whole numbers from `low` to `high` within 0 to `size - 1`. */
+static Range whole_numbers(double low, double high, int64_t size) {
+    if (!(low <= high)) return NONE;
+    const double first = fmax(ceil(low), 0.0), last = fmin(floor(high), (double)size - 1.0);
+    return first <= last ? (Range){(int64_t)first, (int64_t)last} : NONE;
+}
+
+static double magnitude(Complex a) { return sqrt(a.re * a.re + a.im * a.im); }
+
+/* Return the lines that may have pixels of a marker. A marker with numbers that are not finite has none. */
+static Range lines_of(const Marker *marker, int64_t height) {
+    const double total = magnitude(marker->center) + magnitude(marker->x_axis) + magnitude(marker->y_axis) +
+                         magnitude(marker->perspective) + magnitude(marker->keystone) +
+                         magnitude(marker->anisotropy) + marker->strip + marker->height_px + marker->sigma;
+    if (!(total < INFINITY)) return NONE;
+    return whole_numbers(marker->center.im - marker->height_px, marker->center.im + marker->height_px, height);
+}
+
+/* Return the columns of line v within both strips |Re(X̄ p)|, |Re(Ȳ p)| <= strip about the centre. */
+static Range columns_of(const Marker *marker, int64_t v, int64_t width) {
+    const double below = (double)v - marker->center.im;
+    const Complex axes[2] = {marker->x_axis, marker->y_axis};
+    double low = -INFINITY, high = INFINITY;
+    for (int i = 0; i < 2; i++) {
+        const double per_u = fabs(axes[i].re) > MIN_AXIS_PER_PX ? axes[i].re : MIN_AXIS_PER_PX;
+        const double middle = -axes[i].im / per_u * below, half = marker->strip / fabs(per_u);
+        low = fmax(low, middle - half);
+        high = fmin(high, middle + half);
+    }
+    return whole_numbers(low + marker->center.re, high + marker->center.re, width);
+}
+
+/* Return the number of pixels between the strips of markers: at least that of `list_pixels`. */
+int64_t count_pixels(const Marker *markers, int64_t count, int64_t height, int64_t width) {
+    int64_t pixels = 0;
+    for (int64_t k = 0; k < count; k++) {
+        const Range lines = lines_of(markers + k, height);
+        for (int64_t v = lines.first; v <= lines.last; v++) {
+            const Range columns = columns_of(markers + k, v, width);
+            pixels += columns.last - columns.first + 1;
+        }
+    }
+    return pixels;
+}
+
+/* Compute marker coordinates of `length` pixels of line v from column u on, and whether each is the marker's. */
+static void places_of(const Marker *marker, int64_t v, int64_t u, int64_t length, double *x, double *y, double *within) {
+    const Complex X = marker->x_axis, Y = marker->y_axis, h = marker->perspective;
+    const double below = (double)v - marker->center.im, begin = (double)u - marker->center.re;
+    for (int64_t i = 0; i < length; i++) {
+        const double right = begin + (double)i, far = 1 / (1 - (h.re * right + h.im * below));
+        x[i] = (X.re * right + X.im * below) * far;
+        y[i] = (Y.re * right + Y.im * below) * far;
+        within[i] = (far > 0) & (fabs(x[i]) <= marker->limit) & (fabs(y[i]) <= marker->limit) ? 1.0 : 0.0;
+    }
+}
+
+/* List the pixels of markers without gaps.
+ *
+ * bounds (count + 1,), places (room, 2) and pixels (room, 2) are results. Returns the number of pixels, or an error. */
+int64_t list_pixels(const Marker *markers, int64_t count, int64_t height, int64_t width, int64_t *bounds, float *places,
+                    int32_t *pixels, int64_t room) {
+    double x[CHUNK], y[CHUNK], within[CHUNK];
+    int64_t row = 0;
+    bounds[0] = 0;
+    for (int64_t k = 0; k < count; k++) {
+        const Range lines = lines_of(markers + k, height);
+        for (int64_t v = lines.first; v <= lines.last; v++) {
+            const Range columns = columns_of(markers + k, v, width);
+            if (columns.last - columns.first + 1 > room - row) return FIT_INVALID_SIZE;
+            for (int64_t u = columns.first; u <= columns.last; u += CHUNK) {
+                const int64_t rest = columns.last - u + 1, length = rest < CHUNK ? rest : CHUNK;
+                places_of(markers + k, v, u, length, x, y, within);
+                for (int64_t i = 0; i < length; i++) {
+                    if (within[i] == 0.0) continue;
+                    places[2 * row] = (float)x[i];
+                    places[2 * row + 1] = (float)y[i];
+                    pixels[2 * row] = (int32_t)v;
+                    pixels[2 * row + 1] = (int32_t)(u + i);
+                    row++;
+                }
+            }
+        }
+        bounds[k + 1] = row;
+    }
+    return row;
+}
+
+/* Return whether the bounds of markers ascend from 0 or more to `rows` at most. */
+int are_bounds_valid(const MarkerRows *given) {
+    if (given->count < 0 || given->rows < 0 || given->bounds[0] < 0 || given->bounds[given->count] > given->rows) return 0;
+    for (int64_t k = 0; k < given->count; k++)
+        if (given->bounds[k] > given->bounds[k + 1]) return 0;
+    return 1;
+}

@@ -6,6 +6,7 @@
  *   3. sums.c            products of the columns; residuals, and their sums over cells and over boxes
  *   4. held_unknowns.c   least squares with some unknowns held
  *   5. plane_fit.c       the plane that the markers lie on
+ * image_noise.c reads the noise of an image from the image alone.
  *
  * The formulas are those of vision/photometric/fitting/design_matrix.py. Pixels are in the order of the markers, line by
  * line: marker k has the rows from bounds[k] to bounds[k + 1]. All sums run in one order, so that all builds give equal
@@ -78,6 +79,9 @@ int32_t add_over_cells(const MarkerRows *given, const float *solutions, int32_t 
 int32_t add_over_boxes(const MarkerRows *given, const int64_t *picked, int64_t picked_count, const float *solutions,
                        const float *influences, int32_t quantities, int32_t box_px, double *small, double *large,
                        int64_t *boxes);
+
+int32_t count_second_differences(const uint8_t *image, int64_t height, int64_t width, int32_t darkest,
+                                 int32_t brightest, int64_t *counts);
 
 int32_t hold_unknowns(double *values, double *inverse_normals, double *squares, int64_t count, int32_t first,
                       int32_t last, const double *at, const double *variances);

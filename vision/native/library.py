@@ -19,6 +19,9 @@ that counts has 20 points, and visits a pixel at most twice along a line of one 
 UNKNOWNS, COLUMNS = 15, 16
 """Unknowns of a marker, and columns of its pixels: those of the model, and the pixels' own values."""
 
+MAX_SECOND_DIFFERENCE = 4 * 255
+"""Largest second difference of grey levels. Derived."""
+
 MARKER = np.dtype(
     [
         ("center", complex),
@@ -359,6 +362,20 @@ class Library:
         _check(self.functions.add_over_boxes(rows.structure(), *given, quantities, box_px, *results))
         return small, large, boxes
 
+    def second_differences(self, image: Image, darkest: int, brightest: int) -> IntArray:
+        """Return how often each `|I(u - 1) - 2 I(u) + I(u + 1)|` (1021,) occurs along lines of an image.
+
+        Every fourth line and column is read, where I(u) is above `darkest` and below `brightest`.
+
+        Raises:
+            InputError: the image has another type, shape or memory layout.
+        """
+        _check_plane("image", image, None)
+        counts = np.empty(MAX_SECOND_DIFFERENCE + 1, dtype=np.int64)
+        given = image.ctypes.data, *image.shape, darkest, brightest
+        _check(self.functions.count_second_differences(*given, counts.ctypes.data))
+        return counts
+
     def hold_unknowns(
         self,
         values: Array,
@@ -460,6 +477,7 @@ def declared(functions: ctypes.CDLL) -> Library:
         "residuals": (integer, rows, pointer, pointer),
         "add_over_cells": (integer, rows, pointer, integer, *(pointer,) * 4),
         "add_over_boxes": (integer, rows, pointer, long, pointer, pointer, integer, integer, *(pointer,) * 3),
+        "count_second_differences": (integer, pointer, long, long, integer, integer, pointer),
         "hold_unknowns": (integer, *(pointer,) * 3, long, integer, integer, pointer, pointer),
         "fit_plane": (integer, *(pointer,) * 3, long, pointer, integer, pointer, pointer),
     }

@@ -4,7 +4,7 @@
 #include <math.h>
 #include <stdlib.h>
 
-enum { WIDTH = COLUMNS, BLOCK = 64, QUARTERS = 4 };
+enum { WIDTH = COLUMNS, BLOCK = 64, QUARTERS = 4, MAX_QUANTITIES = 8 };
 
 typedef float Half __attribute__((vector_size(2 * WIDTH)));
 typedef float Quarter __attribute__((vector_size(WIDTH)));
@@ -147,17 +147,17 @@ static void add_to_boxes(const float *columns, const int32_t *pixels, int64_t be
                          const float *influences, int32_t quantities, int32_t box_px, Extent extent, double *boxes) {
     const int64_t across = (extent.right - extent.left) / 2 + 1;
     const Row model = factors_of(solution, -1.0f);
+    Row factors[MAX_QUANTITIES];
+    for (int32_t q = 0; q < quantities; q++) factors[q] = factors_of(influences + q * UNKNOWNS, 0.0f);
     for (int64_t row = begin; row < end; row++) {
         if (!(columns[row * WIDTH + BLACK] > 0)) continue;
         const int32_t v = pixels[2 * row] / box_px - extent.top, u = pixels[2 * row + 1] / box_px - extent.left;
         double *box = box_at(boxes, v / 2 * across + u / 2, quantities);
         box[QUARTERS * quantities] = 1;
         const float left = residual_of(columns, row, model);
-        for (int32_t q = 0; q < quantities; q++) {
-            const Row influence = factors_of(influences + q * UNKNOWNS, 0.0f);
-            const float product = dot(row_at(columns + row * WIDTH), influence) * left;
-            box[(v % 2 * 2 + u % 2) * quantities + q] += (double)product;
-        }
+        double *quarter = box + (v % 2 * 2 + u % 2) * quantities;
+        for (int32_t q = 0; q < quantities; q++)
+            quarter[q] += (double)(dot(row_at(columns + row * WIDTH), factors[q]) * left);
     }
 }
 
@@ -170,7 +170,7 @@ static void add_to_boxes(const float *columns, const int32_t *pixels, int64_t be
 int32_t add_over_boxes(const MarkerRows *given, const int64_t *picked, int64_t picked_count, const float *solutions,
                        const float *influences, int32_t quantities, int32_t box_px, double *small, double *large,
                        int64_t *boxes) {
-    if (box_px <= 0 || quantities <= 0 || !are_bounds_valid(given)) return FIT_INVALID_SIZE;
+    if (box_px <= 0 || quantities <= 0 || quantities > MAX_QUANTITIES || !are_bounds_valid(given)) return FIT_INVALID_SIZE;
     const float *columns = given->columns;
     const int32_t *pixels = given->pixels;
     for (int64_t place = 0; place < picked_count; place++) {

@@ -3,10 +3,10 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from skyherd.geometry import MEDIAN_PER_SIGMA, UNIFORM_VARIANCE
 from skyherd.vision.grey import Image
+from skyherd.vision.native.library import library
 
 SATURATION_MARGIN, MIN_UNSATURATED_PIXELS = 5, 50
 """Pixels so near to black or white, grey levels, are clipped and say nothing about the noise; so many others
@@ -24,19 +24,10 @@ def image_noise(image: Image) -> float:
     texture and edges take up less than half of the image. Every fourth line and column is read, and no
     saturated pixel; the result is that of rounding, `sqrt(1 / 12)`, if too few are left.
     """
-    lines = image[::4]
-    before, here, after = (
-        part.astype(np.int16) for part in (lines[:, :-2:4], lines[:, 1:-1:4], lines[:, 2::4])
-    )
-    usable = (here > SATURATION_MARGIN) & (here < 255 - SATURATION_MARGIN)
-    differences = np.abs(before - 2 * here + after)[usable]
-    if differences.size < MIN_UNSATURATED_PIXELS:
+    limits = SATURATION_MARGIN, 255 - SATURATION_MARGIN
+    ends = library().second_differences(np.ascontiguousarray(image), *limits).cumsum()
+    count = int(ends[-1])
+    if count < MIN_UNSATURATED_PIXELS:
         return ROUNDING_NOISE
-    return max(_median_of_levels(differences) / (MEDIAN_PER_SIGMA * 6**0.5), ROUNDING_NOISE)
-
-
-def _median_of_levels(values: npt.NDArray[np.int16]) -> float:
-    """Return the median of whole numbers from 0 to some hundreds, by counting them."""
-    ends = np.bincount(values).cumsum()
-    low, high = (values.size - 1) // 2, values.size // 2
-    return float(np.searchsorted(ends, [low, high], side="right").mean())
+    median = float(np.searchsorted(ends, [(count - 1) // 2, count // 2], side="right").mean())
+    return max(median / (MEDIAN_PER_SIGMA * 6**0.5), ROUNDING_NOISE)

@@ -1,0 +1,24 @@
+/* Second differences along lines of an image, which tell its noise (vision/photometric/image_noise.py). */
+#include "fit.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+enum { STEP = 4, LEVELS = 1021 };
+
+/* Count |I(u - 1) - 2 I(u) + I(u + 1)| of every fourth line and column, where I(u) is above `darkest` and below `brightest`.
+ *
+ * counts (1021,) is the result: the number of places with each difference, 0 to 1020. Returns 0 or an error. */
+int32_t count_second_differences(const uint8_t *image, int64_t height, int64_t width, int32_t darkest,
+                                 int32_t brightest, int64_t *counts) {
+    if (height < 0 || width < 0) return FIT_INVALID_SIZE;
+    memset(counts, 0, LEVELS * sizeof *counts);
+    for (int64_t v = 0; v < height; v += STEP) {
+        const uint8_t *line = image + v * width;
+        for (int64_t u = 1; u + 1 < width; u += STEP) {
+            const int32_t here = line[u];
+            if (here > darkest && here < brightest) counts[abs(line[u - 1] - 2 * here + line[u + 1])]++;
+        }
+    }
+    return 0;
+}

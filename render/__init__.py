@@ -5,8 +5,8 @@ models lens, shutter, sensor noise and the camera's image processing. `project_m
 return the ground truth of the same image. The package does not depend on detectors or controllers.
 
 Rendering is exact, not supersampled. Each pixel sums, in closed form, the grey steps at the grid lines of a
-card near it, by their distances in the image (`skyherd.render.raster.kernels.lattices`). The edge spread
-function of lens blur and square pixels is a table (`skyherd.render.raster.edge`). Tilt, perspective, lens and
+card near it, by their distances in the image (`render/native/lattices.c`). The edge spread function of lens
+blur and square pixels is a table (`skyherd.render.edge`). Tilt, perspective, lens and
 rolling shutter only change the pixel's position on the card and its distance to each line. Markers are
 neither filtered nor resampled. The error against an independent supersampled reference
 (`tests/helpers/reference.py`) is at most 0.2 grey levels of 200, and 0.04 RMS.

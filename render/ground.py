@@ -1,19 +1,19 @@
 """Ground: a periodic texture, band-limited at each scale, with clutter on it.
 
 A texture is stored at several resolutions (a mipmap). Each is low-passed by the image's blur at that
-resolution, so that one warp per image does not alias. The view of a camera at rest is cached.
+resolution, so that bilinear sampling does not alias. The view of a camera at rest is cached.
 """
 
 from collections import deque
 from functools import lru_cache
 from typing import Literal
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from skyherd.errors import InputError
-from skyherd.geometry import Array, Image, apply_homography, inverse
+from skyherd.geometry import Array, Image, inverse
+from skyherd.render.native.library import Frame, library
 from skyherd.render.scene.clutter import Clutter
 from skyherd.render.scene.textures import PERIOD, SLABS, concrete, picture, tiles
 from skyherd.render.view import ShapeImages
@@ -36,21 +36,13 @@ KEPT = 6
 """Number of cached ground images. *Chosen*: one for each of six cameras at rest; each is as large as an
 image."""
 
-VIEW_SAMPLES = 2000
-"""Samples of a view that fits into the repeated texture without wrapping. *Chosen*: larger than usual images;
-a warp that wraps takes six times as long."""
-
-APART_BYTES = 64
-"""Padding between texture rows, bytes. *Derived*: one cache line; rows a power of two apart evict each other
-in views rotated by 90 degrees. *Measured*: a warp of 800x800 px took 4.8 ms without it, 1.6 ms with it."""
-
-AFFINE = 1e-12
-"""Difference of a homography's last row from (0, 0, 1) below which it is drawn as affine, which is faster.
-*Derived*: over images of 1e4 px this moves a sample by at most 1e-4 px."""
+APART = 32
+"""Additional columns of a texture, at least one. *Chosen*: 64 bytes, one cache line; rows a power of two
+apart evict each other in views rotated by 90 degrees."""
 
 
 class Ground:
-    """Endless textured ground, drawn by one warp per image.
+    """Endless textured ground.
 
     Args:
         seed: seed of the texture.
@@ -111,7 +103,9 @@ class Ground:
         key = homography.tobytes() + bytes(str(size_px), "ascii")
         if key in self._drawn:
             return self._drawn[key].copy()
-        drawn = _warp(*self._choose(homography, size_px), size_px)
+        texture, sample_ground = self._choose(homography, size_px)
+        frame, matrices = Frame(np.zeros(size_px[1])), (sample_ground @ inverse(homography))[None]
+        drawn = library().draw_ground(size_px, frame, matrices, texture)
         if key in self._asked:
             if len(self._drawn) == KEPT:
                 del self._drawn[next(iter(self._drawn))]
@@ -125,26 +119,15 @@ class Ground:
         Args:
             images: images of the ground in metres (`View.ground`).
         """
-        width, height = size = images.camera.size_px
+        size_px = images.camera.size_px
         if self.kind == "plain":
-            return self.draw(np.eye(3), size)
-        middle = images.row_shapes(np.array([(height - 1) / 2]))[0]
-        laid, sample_image = self._choose(inverse(middle), size)
-        sample_ground = sample_image @ inverse(middle)
-        rows = sample_ground @ images.row_shapes(np.arange(height, dtype=float))
-        rows = (rows / (rows[:, 2] @ [width / 2, height / 2, 1.0])[:, None, None]).astype(np.float32)
-        v, u = np.mgrid[:height, :width].astype(np.float32)
-        lens = images.lens()
-        if lens is not None:
-            u += lens.fields[0].reshape(height, width)
-            v += lens.fields[1].reshape(height, width)
-        x, y, w = (rows[:, i, :1] * u + rows[:, i, 1:2] * v + rows[:, i, 2:] for i in range(3))
-        return np.asarray(
-            cv2.remap(laid, x / w, y / w, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), dtype=np.uint8
-        )
+            return self.draw(np.eye(3), size_px)
+        texture, sample_ground = self._choose(images.matrices[len(images.matrices) // 2, 0], size_px)
+        matrices = sample_ground @ inverse(images.matrices[:, 0])
+        return library().draw_ground(size_px, images.frame(), matrices, texture)
 
     def _choose(self, homography: Array, size_px: tuple[int, int]) -> tuple[Image, Array]:
-        """Return the texture at the resolution of a view, and the map (3, 3) from pixels to its samples."""
+        """Return the texture (`_bordered`) at the resolution of a view, and the map (3, 3) to its samples."""
         width, height = size_px
         image_ground = inverse(homography)
         center = image_ground @ [width / 2, height / 2, 1.0]
@@ -155,12 +138,8 @@ class Ground:
             samples *= 2
         if samples not in self._levels and self._spectrum is not None:
             tile = _band_limited(self._spectrum, samples, self._sigma_px)
-            self._levels[samples] = _laid(tile, int(np.ceil(VIEW_SAMPLES / samples)) + 1)
-        sample_image = np.diag([*(samples / self.period_m), 1.0]) @ image_ground
-        view = apply_homography(sample_image, [[0, 0], [width, 0], [width, height], [0, height]])
-        near = np.eye(3)
-        near[:2, 2] = -samples * np.floor(view.min(axis=0) / samples)
-        return self._levels[samples], near @ sample_image
+            self._levels[samples] = _bordered(tile)
+        return self._levels[samples], np.diag([*(samples / self.period_m), 1.0])
 
 
 @lru_cache(maxsize=2)
@@ -174,23 +153,10 @@ def _concrete_spectrum(seed: int, mean: float, contrast: float) -> npt.NDArray[n
     return spectrum
 
 
-def _laid(tile: Image, copies: int) -> Image:
-    """Return `copies` x `copies` repetitions of a square texture, with `APART_BYTES` between rows."""
-    side = copies * len(tile)
-    laid = np.empty((side, side + APART_BYTES), dtype=np.uint8)[:, :side]
-    laid.reshape(copies, len(tile), copies, len(tile))[:] = tile[None, :, None, :]
-    return laid
-
-
-def _warp(laid: Image, sample_image: Array, size_px: tuple[int, int]) -> Image:
-    """Return the image of `size_px` whose pixel x is `laid`, repeated, at `sample_image` times x."""
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    matrix = sample_image / sample_image[2, 2]
-    if np.abs(matrix[2, :2]).max() < AFFINE:
-        drawn = cv2.warpAffine(laid, matrix[:2], size_px, flags=flags, borderMode=cv2.BORDER_WRAP)
-    else:
-        drawn = cv2.warpPerspective(laid, matrix, size_px, flags=flags, borderMode=cv2.BORDER_WRAP)
-    return np.asarray(drawn, dtype=np.uint8)
+def _bordered(tile: Image) -> Image:
+    """Return a periodic texture (n, n) with each sample's lower neighbour: (n, n + APART, 2)."""
+    wide = np.pad(tile, ((0, 1), (0, APART)), mode="wrap")
+    return np.stack([wide[:-1], wide[1:]], axis=-1)
 
 
 def _local_scale(homography: Array, at_m: Array) -> float:

@@ -13,9 +13,10 @@ from skyherd.geometry import Array, Image, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
 from skyherd.render.camera.lens_blur import SHARP, LensBlur, Ray
 from skyherd.render.camera.motion import INSTANT, Shutter
+from skyherd.render.edge import Float, edge_spread
 from skyherd.render.ground import Ground
-from skyherd.render.paint import Canvas, framed, paint_discs, paint_lattices
-from skyherd.render.raster.edge import Float, edge_spread
+from skyherd.render.native.library import Canvas
+from skyherd.render.paint import framed, paint_discs, paint_lattices
 from skyherd.render.scene.occluders import Disc, Quad, quads_square
 from skyherd.render.sensor import Sensor
 from skyherd.render.shot import Shot

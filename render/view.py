@@ -23,6 +23,7 @@ from skyherd.render.camera.camera import (
 from skyherd.render.camera.lens_blur import Ray
 from skyherd.render.camera.lens_displacement import LensField
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
+from skyherd.render.native.library import Frame
 
 ROLLING_STEPS = 5
 """Fixed-point steps for the row in which a moving point is seen. *Chosen*: each reduces the error by a factor
@@ -107,16 +108,17 @@ class ShapeImages:
         """Return the lens displacement of each pixel; None without distortion."""
         return lens_field(self.camera, self.zoom)
 
+    def frame(self) -> Frame:
+        """Return lens and shutter of the image, for the compiled drawing."""
+        lens = self.lens()
+        return Frame(self.row_times(), None if lens is None else lens.fields)
+
     def before_horizon(self, points: Array) -> BoolArray:
         """Return the mask (N,) of shapes with all points (V, 2) on the camera's side of the horizon."""
         weights = (
             np.einsum("qnj,vj->qnv", self.matrices[:, :, 2, :2], points) + self.matrices[:, :, 2, 2, None]
         )
         return np.asarray((weights > 0).all(axis=(0, 2)))
-
-    def row_shapes(self, v_px: Array) -> Array:
-        """Return the homographies (V, 3, 3) from undistorted pixels of rows (V,) to the first shape."""
-        return self._at(inverse(self.matrices), np.zeros(len(v_px), dtype=np.int64), v_px)
 
     def at_origin(self) -> Array:
         """Return homographies (N, 3, 3) to pixels that are correct to first order at each shape's origin.

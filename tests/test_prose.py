@@ -24,7 +24,7 @@ FOLDERS = (
     "tests",
     "vision",
 )
-EXEMPT = ("CHANGELOG.md", "vision/photometric/", "render/raster/")
+EXEMPT = ("CHANGELOG.md", "vision/photometric/")
 """Beginnings of the paths that are exempt from the list of words."""
 
 MAX_NAME = 60

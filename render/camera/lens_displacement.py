@@ -1,4 +1,4 @@
-"""Lens displacement of each pixel, in the form that the rasterizer reads."""
+"""Lens displacement of each pixel, in the form that the compiled drawing reads."""
 
 from dataclasses import dataclass
 

@@ -1,14 +1,16 @@
 """Flat shapes laid over an image, row by row in double precision with NumPy: slow and simple.
 
-The formulas are those of `skyherd.render.raster.kernels`.
+The formulas are those of `render/native/`.
 """
 
 import numpy as np
 
 from skyherd.geometry import inverse
+from skyherd.render.edge import BOXY, DIRECTIONS, FELT, PER_SIGMA, REACH, SAMPLES, SLANTED, SQUARE
 from skyherd.render.paint import RING
-from skyherd.render.raster.edge import DIRECTIONS, PER_SIGMA, REACH, SAMPLES
-from skyherd.render.raster.kernels.lattices import BOXY, FELT, GAUSS, SLANTED, SQUARE
+
+GAUSS = (0.5 - 12**-0.5, 0.5 + 12**-0.5)
+"""Nodes of Gauss's rule of two points, as shares of ρ."""
 
 
 def _unit(vector):
@@ -107,6 +109,29 @@ def painted_lattices(canvas, images, levels, spread):
         covered += np.einsum("pjk,j,k->p", more, of_one, of_one)
         seen[v, u] = _kept(canvas, (1 - covered) * seen[v, u] + light)
     return seen
+
+
+def sampled_ground(samples, size_px, frame, matrices):
+    """Return the image (height, width) of a periodic texture `samples` (n, n), sampled bilinearly, as floats.
+
+    `matrices` (Q, 3, 3) map undistorted pixels to samples, at one instant or at the times -1, 0 and 1.
+    """
+    width, height = size_px
+    fields = np.zeros((2, height, width)) if frame.lens is None else frame.lens[:2].astype(float)
+    u, v = np.meshgrid(np.arange(width), np.arange(height))
+    at = np.stack([u, v]) + fields.reshape(2, height, width)
+    t = frame.row_times
+    weights = (
+        np.stack([t * (t - 1) / 2, 1 - t**2, t * (t + 1) / 2]) if len(matrices) == 3 else [np.ones(height)]
+    )
+    rows = np.einsum("qv,qij->vij", weights, matrices)
+    x, y, w = np.einsum("vij,jvu->ivu", rows, np.concatenate([at, np.ones((1, height, width))]))
+    x, y = x / w, y / w
+    left, upper, n = np.floor(x).astype(int), np.floor(y).astype(int), len(samples)
+    right, lower = x - left, y - upper
+    corner = [[samples[(upper + j) % n, (left + i) % n].astype(float) for i in (0, 1)] for j in (0, 1)]
+    above, below = ((1 - right) * pair[0] + right * pair[1] for pair in corner)
+    return (1 - lower) * above + lower * below
 
 
 def painted_discs(canvas, images, levels, spread):

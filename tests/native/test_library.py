@@ -12,7 +12,8 @@ import pytest
 from skyherd.errors import NativeLibraryError
 from skyherd.native import build
 from skyherd.native.loading import load
-from skyherd.vision.native.library import declared
+from skyherd.render.native import library as render
+from skyherd.vision.native import library as vision
 
 LEVEL = build.levels()[0]
 SANITIZERS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
@@ -22,10 +23,11 @@ SOURCES = build.sources_folder("vision")
 NAME = build.library_name("vision", LEVEL)
 
 
-def compiled(folder, *options):
+def compiled(folder, *options, package="vision"):
     """Return the path of a library that is compiled into a folder."""
-    build.compile_library(SOURCES, folder / NAME, build.compiler_command(LEVEL), options)
-    return folder / NAME
+    path = folder / build.library_name(package, LEVEL)
+    build.compile_library(build.sources_folder(package), path, build.compiler_command(LEVEL), options)
+    return path
 
 
 def test_missing_library_names_the_command(tmp_path):
@@ -56,12 +58,12 @@ def test_compiler_failure_names_the_compiler(tmp_path):
         compiled(tmp_path, "-fno-such-option")
 
 
-def fuzz(path, seed=0, images=150):
-    """Search random images of 2 to 70 px, also with invalid sizes; run under sanitizers in a subprocess."""
+def fuzz_vision(path, seed=0, images=150):
+    """Search random images of 2 to 70 px, also with invalid sizes; return the number of quadrilaterals."""
     from skyherd.vision.search.quads import search_parameters
 
     rng = np.random.default_rng(seed)
-    library = declared(load(Path(path), SOURCES))
+    library = vision.declared(load(Path(path), SOURCES))
     found = 0
     for number in range(images):
         height, width = 2 * rng.integers(1, 36, 2)
@@ -107,8 +109,58 @@ def fuzz_fit(library, rng, images=150):
     return pixels
 
 
+def fuzz_render(path, seed=0, images=100):
+    """Draw random shapes and grounds, half of them with absurd numbers; return the number of drawn pixels."""
+    from skyherd.render.edge import edge_spread
+
+    rng = np.random.default_rng(seed)
+    library = render.declared(load(Path(path), build.sources_folder("render")))
+    changed = 0
+    for number in range(images):
+        size_px = height, width = tuple(rng.integers(1, 70, 2))
+        count, corners, instants = int(rng.integers(0, 4)), int(rng.integers(3, 17)), int(rng.choice([1, 3]))
+        cells = int(rng.choice([1, 2, 8, 62]))
+        turns = np.sort(rng.uniform(0, 2 * np.pi, (count, corners)), axis=1)
+        outlines_px = rng.uniform(-10, 80, (count, 1, 2)) + rng.uniform(0, 60) * np.stack(
+            [np.cos(turns), np.sin(turns)], axis=-1
+        )
+        matrices = np.tile(np.eye(3), (instants, count, 1, 1)) * rng.uniform(0.05, 1)
+        matrices += rng.normal(0, 0.01, matrices.shape)
+        lens = rng.normal(0, 1, (6, height * width)).astype(np.float32) if rng.random() < 0.5 else None
+        frame = render.Frame(np.linspace(-1, 1, height), lens)
+        ground = np.linalg.inv(rng.normal(0, 1, (instants, 3, 3)))
+        if number % 2:
+            for numbers in [
+                outlines_px,
+                matrices,
+                ground,
+                frame.row_times,
+                *([] if lens is None else [lens]),
+            ]:
+                absurd = rng.random(numbers.shape) < 0.1
+                numbers[absurd] = rng.choice([0, np.nan, np.inf, -np.inf, 1e30, -1e-30, 3e9], absurd.sum())
+        flat = render.FlatShapes(outlines_px, matrices, float(rng.uniform(0, 5)))
+        spread = edge_spread(float(rng.choice([0.1, 0.8, 3.0])))
+        levels = rng.uniform(0, 255, (count, cells + 2, cells + 2)).astype(np.float32)
+        for canvas in np.zeros(size_px, np.uint8), np.zeros(size_px, np.float32):
+            library.draw_lattices(canvas, frame, flat, levels, spread)
+            library.draw_discs(canvas, frame, flat, levels[:, 0, 0].copy(), spread)
+            changed += int((canvas != 0).sum())
+        samples = int(2 ** rng.integers(1, 9))
+        texture = rng.integers(0, 256, (samples, samples + 1, 2), dtype=np.uint8)
+        library.draw_ground((width, height), frame, ground, texture)
+    assert library.functions.draw_lattices(None, None, None, None, 1) < 0
+    assert library.functions.draw_discs(None, None, None, None) < 0
+    assert library.functions.draw_ground(None, None, 1, None, 2, 3) < 0
+    return changed
+
+
 @pytest.mark.slow
-def test_fuzzed_images_violate_no_sanitizer(tmp_path):
+@pytest.mark.parametrize(
+    ("package", "sanitizers"),
+    [("vision", SANITIZERS), ("render", (*SANITIZERS, "-fsanitize=float-cast-overflow"))],
+)
+def test_fuzzed_input_violates_no_sanitizer(tmp_path, package, sanitizers):
     compiler = build.system_compiler()
     if compiler is None or sys.platform != "linux":
         pytest.skip("needs a C compiler and libasan on Linux")
@@ -117,10 +169,10 @@ def test_fuzzed_images_violate_no_sanitizer(tmp_path):
     if not Path(runtime).is_absolute():
         pytest.skip("the compiler has no libasan")
     try:
-        library = compiled(tmp_path, *SANITIZERS)
+        library = compiled(tmp_path, *sanitizers, package=package)
     except RuntimeError as error:
         pytest.skip(f"the compiler has no sanitizers: {error}")
-    code = f"import test_library; print(test_library.fuzz({str(library)!r}))"
+    code = f"import test_library; print(test_library.fuzz_{package}({str(library)!r}))"
     paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     environment = {
         **os.environ,
@@ -132,4 +184,4 @@ def test_fuzzed_images_violate_no_sanitizer(tmp_path):
         [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False
     )
     assert ended.returncode == 0, ended.stderr[-2000:]
-    assert int(ended.stdout) > 0
+    assert int(ended.stdout.split()[-1]) > 0

@@ -5,9 +5,8 @@ import pytest
 from drawing_reference import painted_discs, painted_lattices
 
 from skyherd.render import Camera, CameraPose, Distortion, Equidistant, Motion, Shutter
+from skyherd.render.edge import FELT, PER_SIGMA, edge_spread
 from skyherd.render.paint import framed, paint_discs, paint_lattices
-from skyherd.render.raster.edge import PER_SIGMA, edge_spread
-from skyherd.render.raster.kernels.lattices import FELT
 from skyherd.render.view import View
 
 SIZE_PX = (96, 72)

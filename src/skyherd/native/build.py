@@ -14,13 +14,23 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
 
-LIBRARIES = ("vision",)
+LIBRARIES = ("vision", "render")
 """Packages with C sources, each in a folder `native`; each has a library of its own."""
 
 COMMON_SOURCES = (Path(__file__).parent / "library.c",)
 """Sources that every library has."""
 
-FLAGS = ("-std=c11", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-Wall", "-Wextra", "-Wno-psabi")
+FLAGS = (
+    "-std=c11",
+    "-O3",
+    "-ffp-contract=off",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fPIC",
+    "-Wall",
+    "-Wextra",
+    "-Wno-psabi",
+)
 """Compiler flags. Without contraction and without errno, all builds round equally."""
 
 COMPILERS = ("cc", "gcc", "clang")

@@ -6,11 +6,10 @@ import cv2
 import numpy as np
 import pytest
 import search_reference as reference
+from native_builds import builds
 from scipy.optimize import linear_sum_assignment
 
 from skyherd.errors import InputError
-from skyherd.native import build
-from skyherd.native.loading import load
 from skyherd.vision.native.library import declared, library
 from skyherd.vision.search.faint import find_faint_quads
 from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX, SHRINKS, find_quads, search_parameters, small_quads
@@ -135,24 +134,16 @@ def test_masks_of_small_images_equal_opencv():
             assert np.array_equal(found, reference.dark_regions(places).dark), (width, height)
 
 
-def builds():
-    """Return the libraries that this processor can load, by level."""
-    best = int(library().functions.processor_level())
-    folder = build.sources_folder("vision")
-    return {
-        level: declared(load(folder / build.library_name("vision", level), folder))
-        for level in build.levels()
-        if level <= best
-    }
-
-
 @pytest.mark.parametrize("name", IMAGES)
 def test_builds_give_equal_bytes(name):
     places = whole(image_of(name)[:350, :450].copy())
     image, places = places.image, places.mask
-    results = [other.quads(image, places, search_parameters(range(3))) for other in builds().values()]
+    results = [
+        other.quads(image, places, search_parameters(range(3)))
+        for other in builds("vision", declared).values()
+    ]
     assert {corners.tobytes() for corners, _ in results} == {results[0][0].tobytes()}
-    masks = {other.dark_mask(image, places, PLAIN).tobytes() for other in builds().values()}
+    masks = {other.dark_mask(image, places, PLAIN).tobytes() for other in builds("vision", declared).values()}
     assert len(masks) == 1
 
 

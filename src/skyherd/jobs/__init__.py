@@ -1,1 +1,1 @@
-"""Long-running work: progress, parallel processes, and compiled loops."""
+"""Long-running work: progress and parallel processes."""

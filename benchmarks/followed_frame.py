@@ -28,7 +28,7 @@ PIXELS = ("list_pixels", "fill_round", "fill_elliptic", "cell_sums", "squared_bo
 
 STAGES: Stages = {
     "pixels": [(Library, name) for name in PIXELS],
-    "looks": [(stages, name) for name in ("find_quads", "find_overlooked_quads", "find_faint_quads")],
+    "looks": [(stages, name) for name in ("find_quads", "find_small_quads", "find_faint_quads")],
     "search": [(PhotometricDetector, "_search")],
 }
 """Stages that are timed separately: both parts, and the search, which a followed frame lacks."""

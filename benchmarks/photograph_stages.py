@@ -28,7 +28,7 @@ there."""
 
 STAGES: Stages = {
     "first search": [(stages, "find_quads")],
-    "second search": [(stages, "find_overlooked_quads"), (stages, "find_faint_quads")],
+    "second search": [(stages, "find_small_quads"), (stages, "find_faint_quads")],
     "pixels": [(fit.PixelSamples, "read")],
 }
 """Stages that are timed separately."""

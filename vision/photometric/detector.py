@@ -5,7 +5,7 @@ Each image passes through these stages. Stages return values; the detector alone
 1. *Follow* (`following`): markers of the last image are fitted where they are predicted.
 2. *Search* (`skyherd.vision.search`, `candidates`): the image is searched for dark quadrilaterals whose cells
    resemble a marker, in every fifth image, and at once when a followed marker is missing or none is known.
-   A fallback search looks again, at twice the size and with OpenCV's detector, where none was found.
+   A fallback search looks again, at twice the size and with stretched contrast, where none was found.
 3. *Measure* (`measure`): the pattern of each candidate is fitted to the image's own pixels (`fitting.fit`,
    `refine`) and verified by its residuals (`verify`). A candidate that no fit explains is decided by its
    likelihood (`likelihood`) and measured by a robust fit or its edges.
@@ -39,8 +39,7 @@ from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads
 from skyherd.vision.search.faint import find_faint_quads
-from skyherd.vision.search.fallback_search import find_opencv_quads, find_overlooked_quads, find_small_quads
-from skyherd.vision.search.quads import find_quads
+from skyherd.vision.search.quads import find_quads, find_small_quads
 
 SEARCH_INTERVAL = 5
 """While all markers are followed, every image of this number is searched whole. Chosen: a new marker waits
@@ -71,9 +70,8 @@ LOOK_AROUND_INTERVAL = 10
 """A `DeferringDetector` searches one of this number of images whole, by parts. Chosen: the machine of a live
 unit has other things to do while it waits for the next image."""
 
-PARTS = 3
-"""Parts of that search: the quadrilaterals of the search, those at twice the size, and those that OpenCV
-finds. *Measured*: of 800 x 800 px they take 8, 18 and 11 ms in the median, with fits."""
+PARTS = 2
+"""Parts of that search: the quadrilaterals of the search, and those at twice the size."""
 
 
 class PhotometricDetector:
@@ -187,8 +185,7 @@ class PhotometricDetector:
         found = first.found
         known = followed.joined(found.homographies)
         known_px = to_points(known.images(SQUARE_CORNERS))
-        quads = find_overlooked_quads(image, known_px, self.dictionary)
-        quads = np.concatenate([quads, find_faint_quads(image, known_px)])
+        quads = np.concatenate([find_small_quads(image, known_px), find_faint_quads(image, known_px)])
         second = self._measured(image, replace(state, plane=first.plane), quads, known, CLEAR_CORRELATION)
         if not (first.good.any() and second.good.any()):
             return first, second
@@ -261,11 +258,7 @@ class DeferringDetector(PhotometricDetector):
 
     def _quads(self, part: int, image: Image, known_px: Array) -> Array:
         """Return the corners (N, 4, 2), px, of the quadrilaterals that a part of the search finds."""
-        if part == 0:
-            return find_quads(image)
-        if part == 1:
-            return find_small_quads(image, known_px)
-        return find_opencv_quads(image, known_px, self.dictionary)
+        return find_quads(image) if part == 0 else find_small_quads(image, known_px)
 
 
 def _detections(

@@ -1,8 +1,8 @@
 """Marker candidates of an image: adaptive threshold, quadrilaterals, decoding.
 
 - `regions` thresholds the parts of the image with a high density of dark pixels.
-- `quads` fits quadrilaterals to the boundaries of the dark regions.
-- `fallback_search` finds small and faint quadrilaterals that `quads` misses.
+- `quads` fits quadrilaterals to the boundaries of the dark regions, also in images of twice the size.
+- `faint` does so after the contrast of places was stretched.
 - `decode` correlates the cells of quadrilaterals with every marker of a dictionary.
 - `edges` refines corners by the image gradient.
 

@@ -30,9 +30,9 @@ MIN_AREA_PX2 = MIN_QUAD_SIDE_PX**2 / 2
 """Smallest area within a boundary, px². Chosen: half of the smallest square's, so that tilted squares
 pass."""
 
-MIN_COMPACTNESS = 0.035
-"""Smallest ratio of the area to the squared boundary length. Chosen: a little over half of a square's 1/16
-(1/8 for diagonal steps), so that tilted squares pass and lines do not."""
+MIN_COMPACTNESS = 0.022
+"""Smallest ratio of the area to the squared boundary length. Chosen: 0.7 of that of a rectangle whose sides
+have the ratio `MAX_SIDE_RATIO`, 6 / 14², so that tilted squares pass and lines do not."""
 
 GROWTH_PX = 0.5
 """Outward shift of the sides, px. Derived: boundaries pass through the centres of a region's outermost
@@ -68,8 +68,8 @@ MIN_POINTS = math.ceil(4 * MIN_QUAD_SIDE_PX / math.sqrt(2))
 """Smallest number of boundary points. Derived: a square rotated by 45 degrees has `side / sqrt(2)` boundary
 pixels a side."""
 
-MAX_SIDE_RATIO = 4.0
-"""Largest ratio of a quadrilateral's sides. Derived: a tilt of 75 degrees shortens a side 3.9 times."""
+MAX_SIDE_RATIO = 6.0
+"""Largest ratio of a quadrilateral's sides. Derived: a tilt of 80 degrees shortens a side 5.8 times."""
 
 MAX_AREA_MISMATCH = 0.3
 """Largest relative difference between the areas of a region and its quadrilateral. Chosen: quadrilaterals
@@ -104,12 +104,25 @@ def find_quads(image: Image, known_px: Array | None = None, min_darkness: float 
     return np.concatenate(found)
 
 
+def find_small_quads(image: Image, known_px: Array) -> Array:
+    """Return the corners (N, 4, 2), px, of dark quadrilaterals outside known squares, at twice the size.
+
+    The filters of `find_quads` lose the smallest markers and some faint ones. This search covers places with
+    many dark pixels and takes three times as long.
+
+    Args:
+        image: grey, (height, width).
+        known_px: (K, 4, 2) corners of the known squares, px. Some quadrilaterals may belong to one.
+    """
+    places = crowded_places(image, known_px)
+    return np.zeros((0, 4, 2)) if places is None else small_quads(places)
+
+
 def small_quads(mosaic: Mosaic) -> Array:
     """Return the corners (N, 4, 2), px, of dark quadrilaterals in enlarged parts of an image.
 
     Relative to the enlarged image, the smoothing filters are half as wide. Cells of 1.5 px stay separate from
-    the surroundings, and narrow quadrilaterals stay whole. The search takes three times as long as at the
-    original size.
+    the surroundings, and narrow quadrilaterals stay whole.
     """
     return (_quads_in(mosaic.enlarged(), range(MAX_EROSIONS + 1), ENLARGEMENT) + 0.5) / ENLARGEMENT - 0.5
 

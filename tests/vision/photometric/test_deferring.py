@@ -78,14 +78,14 @@ def test_each_search_runs_once_in_ten_images_and_never_two(draw, monkeypatch) ->
     )
     for number in range(3 * LOOK_AROUND_INTERVAL + 1):
         look(detector, draw(number, IDS, HOMES), number)
-    assert done == [(tens + 8 + part, part) for tens in (0, 10, 20) for part in range(3)]
+    assert done == [(tens + 9 + part, part) for tens in (0, 10, 20) for part in range(2)]
 
 
 @pytest.mark.parametrize("part", range(deferring.PARTS))
 def test_each_part_of_the_search_finds_a_marker_by_itself(draw, monkeypatch, part) -> None:
     """A marker that is easily seen, with the quadrilaterals of the other parts taken away."""
     nothing = np.zeros((0, 4, 2))
-    for other, name in enumerate(("find_quads", "find_small_quads", "find_opencv_quads")):
+    for other, name in enumerate(("find_quads", "find_small_quads")):
         if other != part:
             monkeypatch.setattr(deferring, name, lambda *given: nothing)
     detector = DeferringDetector(DICTIONARY)

@@ -141,7 +141,7 @@ def test_light_squares_and_thin_bars_are_rejected():
 
 @pytest.mark.parametrize(("noise", "most"), [(2, 0), (10, 0), (30, 8), (60, 22)])
 def test_pure_noise_gives_few_quads(noise, most):
-    """Mean count in a megapixel: 0 up to noise 10, 1.3 at 30, 7.6 at 60. Limits: Poisson quantiles of 1e-5."""
+    """Mean count a megapixel: 0 up to noise 10, 1.3 at 30, 7.6 at 60. Limits: Poisson quantiles of 1e-5."""
     rng = np.random.default_rng(noise)
     count = sum(
         len(find_quads(np.clip(rng.normal(128, noise, (500, 500)), 0, 255).astype(np.uint8)))

@@ -66,7 +66,7 @@ def test_fallback_search_excludes_known_markers():
     ids=["faint and blurred", "tilted by 70 degrees"],
 )
 def test_every_marker_that_opencv_finds_is_found(cell, needs_fallback):
-    """In rendered images with markers that OpenCV detects at its defaults; the first pass misses faint ones."""
+    """In rendered images with markers that OpenCV detects. The first pass misses the faint ones."""
     first_alone = 0
     for frame in rendered_frames(cell, "4X4_50", 3):
         theirs = create_detector("opencv").detect(frame.image)

@@ -74,7 +74,7 @@ static void places_of(const Marker *marker, int64_t v, int64_t u, int64_t length
         const double right = begin + (double)i, far = 1 / (1 - (h.re * right + h.im * below));
         x[i] = (X.re * right + X.im * below) * far;
         y[i] = (Y.re * right + Y.im * below) * far;
-        within[i] = (far > 0) & (fabs(x[i]) <= marker->limit) & (fabs(y[i]) <= marker->limit) ? 1.0 : 0.0;
+        within[i] = ((far > 0) & (fabs(x[i]) <= marker->limit) & (fabs(y[i]) <= marker->limit)) ? 1.0 : 0.0;
     }
 }
 

@@ -32,6 +32,7 @@ from skyherd.control.team_clock import TeamClock
 from skyherd.errors import DegenerateSetError
 from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, shared_ids
 from skyherd.messages.checks import check_kind
+from skyherd.messages.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,8 @@ class Decision:
     flight: FlightCommand
     proximity: Proximity | None = None
     ground_map: GroundMap = field(default_factory=GroundMap)
+
+    __repr__ = short_repr
 
 
 class AerialController:

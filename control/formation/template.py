@@ -12,6 +12,7 @@ from skyherd.errors import DegenerateSetError, InputError
 from skyherd.geometry import ComplexArray, IntArray, to_complex, to_points
 from skyherd.messages import rows_of
 from skyherd.messages.checks import check_ids, shown
+from skyherd.messages.short_repr import short_repr
 
 MAX_PX = 1e9
 """Maximum coordinate of a template's point. Chosen: beyond any image and any map in metres, and far below
@@ -38,6 +39,8 @@ class Template:
 
     ids: IntArray
     points_px: ComplexArray
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         ids = check_ids(self.ids, "template")

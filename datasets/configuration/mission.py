@@ -68,6 +68,11 @@ class Mission:
     ground_image: Grey | None = None
     later: tuple[tuple[float, Template], ...] = ()
 
+    def __repr__(self) -> str:
+        scenario = self.scenario
+        robots, units = self.ids.size, len(scenario.units)
+        return f"Mission({scenario.name}: {robots} robots, {units} unit(s), {scenario.duration_s:g} s)"
+
     @cached_property
     def schedule(self) -> Schedule:
         """The shapes to form, each with its start time."""
@@ -143,12 +148,15 @@ def read_scenario(name_or_file: str) -> ScenarioSource:
     return ScenarioSource(source.tree, source.where, source.folder)
 
 
-def load_mission(name_or_file: str, settings: Iterable[str] = (), *, seed: int | None = None) -> Mission:
+def load_mission(
+    name_or_file: str, settings: Iterable[str] | Mapping[str, object] = (), *, seed: int | None = None
+) -> Mission:
     """Read, validate and complete a built-in scenario or a TOML file.
 
     Args:
         name_or_file: name of a built-in scenario, or a TOML file.
-        settings: `key=value` texts that replace values of the file, such as `units.*.height_m=9`.
+        settings: values that replace those of the file: by dotted key, such as `{"units.*.height_m": 9}`, or
+            as texts, such as `["units.*.height_m=9"]`.
         seed: replaces the scenario's seed.
 
     Raises:

@@ -3,11 +3,13 @@
 import os
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from skyherd.datasets.configuration.validation import MAX_SHOWN
 from skyherd.errors import InputError
@@ -103,22 +105,29 @@ def depth(text: str) -> int:
     return max(deepest, 1 + max(key.count(".") for key in keys))
 
 
-def apply_settings(tree: dict[str, Any], settings: Iterable[str], example: str, see: str) -> dict[str, str]:
+def apply_settings(
+    tree: dict[str, Any], settings: Iterable[str] | Mapping[str, object], example: str, see: str
+) -> dict[str, str]:
     """Apply settings such as `units.*.height_m=9` to a tree; a value is TOML, or plain text if it is not.
 
     Args:
         tree: the tree, which is modified.
-        settings: `KEY=VALUE` texts.
+        settings: `KEY=VALUE` texts, or values by dotted key.
         example: a valid setting, for error messages.
         see: command that shows all keys.
 
     Returns:
-        `--set KEY` by key, with which later errors name the option.
+        `--set KEY` by key, or `settings: KEY` of a mapping, with which later errors name the option.
 
     Raises:
         InputError: a setting has no key or no value, or its key does not exist.
     """
     origins = {}
+    if isinstance(settings, Mapping):
+        for key, value in settings.items():
+            put_value(tree, key, plain(value), f"settings: {key}", see=see)
+            origins[key] = f"settings: {key}"
+        return origins
     for setting in check_texts("settings", settings):
         key, equals, text = setting.partition("=")
         if not equals or not key.strip():
@@ -127,6 +136,15 @@ def apply_settings(tree: dict[str, Any], settings: Iterable[str], example: str, 
         put_value(tree, key, _setting_value(text), f"--set {key}", see=see)
         origins[key] = f"--set {key}"
     return origins
+
+
+def plain(value: object) -> object:
+    """Return a value with arrays, tuples and mappings as lists and dictionaries, as TOML has them."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _setting_value(text: str) -> Any:

@@ -60,7 +60,7 @@ PUBLIC = {
         "Mission",
         "Step",
     ),
-    "Find markers": ("create_detector", "Detections", "read_dataset"),
+    "Find markers": ("detect", "annotate", "create_detector", "Detections", "Detection", "read_dataset"),
     "Control": (
         "AerialController",
         "Decision",

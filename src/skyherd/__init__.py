@@ -9,7 +9,7 @@ The library logs under the logger `skyherd`, and is silent unless a handler is a
 
 Examples:
     >>> import skyherd
-    >>> mission = skyherd.load_mission("triangle", ["perception=ideal", "duration_s=1.0"])
+    >>> mission = skyherd.load_mission("triangle", {"perception": "ideal", "duration_s": 1.0})
     >>> last = [step for step in skyherd.run_steps(mission)][-1]
     >>> last.time_s
     1.0
@@ -41,8 +41,9 @@ if TYPE_CHECKING:
         shape_points,
     )
     from skyherd.errors import InputError, SkyherdError
+    from skyherd.inspection import annotate, detect
     from skyherd.loop import Step, run_steps
-    from skyherd.messages import Detections, MotionGoals, UnitReport, VelocityCommand
+    from skyherd.messages import Detection, Detections, MotionGoals, UnitReport, VelocityCommand
     from skyherd.recording.reader import read_recording
     from skyherd.runner import run_mission
     from skyherd.vision import create_detector
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
 __all__ = [
     "AerialController",
     "Decision",
+    "Detection",
     "Detections",
     "GoalInboxes",
     "Hover",
@@ -65,7 +67,9 @@ __all__ = [
     "UnitReport",
     "VelocityCommand",
     "__version__",
+    "annotate",
     "create_detector",
+    "detect",
     "load_mission",
     "read_dataset",
     "read_recording",
@@ -90,8 +94,9 @@ _NAMES_BY_MODULE = {
     ),
     "skyherd.datasets": ("Mission", "load_mission", "read_dataset", "scenario_names", "shape_points"),
     "skyherd.errors": ("InputError", "SkyherdError"),
+    "skyherd.inspection": ("annotate", "detect"),
     "skyherd.loop": ("Step", "run_steps"),
-    "skyherd.messages": ("Detections", "MotionGoals", "UnitReport", "VelocityCommand"),
+    "skyherd.messages": ("Detection", "Detections", "MotionGoals", "UnitReport", "VelocityCommand"),
     "skyherd.recording.reader": ("read_recording",),
     "skyherd.runner": ("run_mission",),
     "skyherd.vision": ("create_detector",),

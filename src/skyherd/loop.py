@@ -11,6 +11,7 @@ from skyherd.datasets import Mission, Scenario
 from skyherd.geometry import IntArray
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.messages.checks import check_kind
+from skyherd.messages.short_repr import short_repr
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.agents import ControllerFactory, UnitAgents, make_controller
 from skyherd.sim.perception import make_run_perception
@@ -36,6 +37,8 @@ class UnitFrame:
 
     sight: Sight
     decision: Decision
+
+    __repr__ = short_repr
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,8 @@ class Step:
     control_sets: dict[int, IntArray]
     metrics: TruthMetrics
     roles: IntArray
+
+    __repr__ = short_repr
 
     def without_images(self) -> "Step":
         """Return the same step without images, which take nearly all of its memory."""

@@ -20,7 +20,7 @@ from skyherd.datasets.labelled.scenes import Scene
 from skyherd.errors import InputError
 from skyherd.files.reading import read_text
 from skyherd.geometry import Array
-from skyherd.inspection import CORNERS
+from skyherd.messages.detections import CORNER_COLUMNS
 
 VISIBILITIES = [f"visibility_{name}" for name in KEYPOINTS]
 """Columns with the visibility of each keypoint."""
@@ -30,7 +30,16 @@ BOUNDS = ["crb_std_u_px", "crb_std_v_px", "crb_std_heading_deg"]
 """Columns with the Cramér–Rao standard deviations."""
 
 
-NUMBERS = ["u_px", "v_px", "heading_deg", "side_px", *CORNERS, "visible_fraction", *VISIBILITIES, *BOUNDS]
+NUMBERS = [
+    "u_px",
+    "v_px",
+    "heading_deg",
+    "side_px",
+    *CORNER_COLUMNS,
+    "visible_fraction",
+    *VISIBILITIES,
+    *BOUNDS,
+]
 """Columns with numbers, in the order of `label_table`."""
 
 TRUTH_COLUMNS = ["image", "id", *NUMBERS]

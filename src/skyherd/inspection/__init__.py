@@ -1,4 +1,4 @@
-"""Marker detection in picture and video files, with outputs for people: `skyherd detect`.
+"""Marker detection in pictures and videos, with outputs for people: `skyherd detect`, and `skyherd.detect`.
 
 `Inspector` runs a detector over files and writes tables (`detection_rows`, `rejection_rows`) and annotated
 pictures (`Annotator`) into a folder.
@@ -8,8 +8,8 @@ from skyherd.inspection.annotator import Annotator
 from skyherd.inspection.file_result import FileResult
 from skyherd.inspection.inspector import AUTO, DETECTIONS, REJECTIONS, Inspector
 from skyherd.inspection.output_names import output_name
+from skyherd.inspection.single_image import annotate, detect
 from skyherd.inspection.table import (
-    CORNERS,
     FORMATS,
     Format,
     Place,
@@ -20,7 +20,6 @@ from skyherd.inspection.table import (
 
 __all__ = [
     "AUTO",
-    "CORNERS",
     "DETECTIONS",
     "FORMATS",
     "REJECTIONS",
@@ -29,6 +28,8 @@ __all__ = [
     "Format",
     "Inspector",
     "Place",
+    "annotate",
+    "detect",
     "detection_rows",
     "open_table",
     "output_name",

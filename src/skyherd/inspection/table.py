@@ -17,7 +17,8 @@ from typing import Any, Literal, TextIO, get_args
 import numpy as np
 
 from skyherd.files.atomic import whole_file
-from skyherd.messages import Detections, Quality
+from skyherd.messages import Detections
+from skyherd.messages.detections import CORNER_COLUMNS, MARKER_COLUMNS
 from skyherd.text import printable, table_cell
 from skyherd.vision import Rejection
 
@@ -25,16 +26,10 @@ Format = Literal["csv", "jsonl"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 """Formats of the tables: comma-separated values, and one JSON object a line."""
 
-CORNERS = [f"corner{k}_{axis}_px" for k in range(4) for axis in "uv"]
-"""Columns of the four corners, the two front ones first."""
-
-STDS = ["std_u_px", "std_v_px", "std_heading_deg"]
-"""Columns of the standard deviations; empty where the detector does not state them."""
-
 WHERE = ["file", "frame", "time_s"]
 """Columns that identify the image of a row, as the fields of `Place`."""
 
-DETECTION_COLUMNS = [*WHERE, "id", "u_px", "v_px", "heading_deg", "side_px", *STDS, "quality", *CORNERS]
+DETECTION_COLUMNS = [*WHERE, *MARKER_COLUMNS, *CORNER_COLUMNS]
 """Columns of the table of detections."""
 
 MEASURED = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_id", "wrong_cells", "log_odds"]
@@ -43,7 +38,17 @@ MEASURED = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_i
 TESTED = ["quantity", "value", "limit"]
 """Columns of the quantity by which a candidate is rejected, and its limit; empty without one."""
 
-REJECTION_COLUMNS = [*WHERE, "reason", *TESTED, "u_px", "v_px", "side_px", *MEASURED, *CORNERS, "words"]
+REJECTION_COLUMNS = [
+    *WHERE,
+    "reason",
+    *TESTED,
+    "u_px",
+    "v_px",
+    "side_px",
+    *MEASURED,
+    *CORNER_COLUMNS,
+    "words",
+]
 """Columns of the table of rejections."""
 
 Row = dict[str, Any]
@@ -69,20 +74,13 @@ def detection_rows(place: Place, found: Detections) -> Iterator[Row]:
 
     A covariance that is all zero means unknown; its columns are None.
     """
-    for k, marker_id in enumerate(found.ids.tolist()):
-        covariance = found.covariances[k]
-        stds = np.sqrt(np.diag(covariance)) * (1.0, 1.0, np.degrees(1.0)) if covariance.any() else [None] * 3
+    for marker in found:
+        covariance = marker.covariance if marker.covariance.any() else None
         yield {
             **vars(place),
-            "id": marker_id,
-            "u_px": found.centers_px[k, 0],
-            "v_px": found.centers_px[k, 1],
-            "heading_deg": np.degrees(found.headings_rad[k]),
-            "side_px": found.sides_px[k],
-            **dict(zip(STDS, stds, strict=True)),
-            "quality": Quality(found.qualities[k]).name.lower(),
-            "corners_px": found.corners_px[k],
-            "covariance": covariance if covariance.any() else None,
+            **marker.columns(),
+            "corners_px": marker.corners_px,
+            "covariance": covariance,
         }
 
 
@@ -128,7 +126,7 @@ class Table:
     def add(self, row: Row) -> None:
         """Write one row; CSV omits unknown keys, JSON lines keep them."""
         if self._kind == "csv":
-            corners = dict(zip(CORNERS, np.ravel(row["corners_px"]), strict=True))
+            corners = dict(zip(CORNER_COLUMNS, np.ravel(row["corners_px"]), strict=True))
             self._writer.writerow({key: _cell(value) for key, value in (row | corners).items()})
         else:
             plain = {key: _short(value) for key, value in row.items()}

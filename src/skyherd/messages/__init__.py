@@ -5,7 +5,7 @@ left, angles counter-clockwise. Units are in the names.
 """
 
 from skyherd.messages.commands import FlightCommand, VelocityCommand
-from skyherd.messages.detections import Detections, Quality, centred
+from skyherd.messages.detections import Detection, Detections, Quality, centred
 from skyherd.messages.goals import MotionGoals, RobotGoal
 from skyherd.messages.ids import ANONYMOUS_ID, BORDER_IDS, NO_ID, among, find_rows, rows_of
 from skyherd.messages.proximity import Proximity
@@ -20,6 +20,7 @@ __all__ = [
     "NO_ID",
     "NO_SLOT",
     "TIME_TOLERANCE_S",
+    "Detection",
     "Detections",
     "FlightCommand",
     "MotionGoals",

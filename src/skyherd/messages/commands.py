@@ -7,6 +7,7 @@ import numpy as np
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, IntArray
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
+from skyherd.messages.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,8 @@ class VelocityCommand:
     ids: IntArray
     v_mps: Array
     omega_radps: Array
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         n = freeze_ids(self, "ids")

@@ -1,17 +1,35 @@
 """Markers that one unit's detector found in one image, and the unit of length for rules on images."""
 
+from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.errors import MessageError
+from skyherd.errors import InputError, MessageError
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze, freeze_ids, freeze_image_size
 from skyherd.messages.ids import among
+from skyherd.messages.short_repr import short_repr
+
+if TYPE_CHECKING:
+    import pandas
+
+CORNER_COLUMNS = tuple(f"corner{k}_{axis}_px" for k in range(4) for axis in "uv")
+"""Table columns of the four corners, the two front ones first."""
+
+STD_COLUMNS = ("std_u_px", "std_v_px", "std_heading_deg")
+"""Table columns of the standard deviations; empty where the detector does not state them."""
+
+MARKER_COLUMNS = ("id", "u_px", "v_px", "heading_deg", "side_px", *STD_COLUMNS, "quality")
+"""Table columns of a marker, except for its corners."""
+
+MAX_SHOWN_IDS = 8
+"""Most ids in the representation of detections. Chosen: it fits on a line."""
 
 
 class Quality(IntEnum):
@@ -33,11 +51,46 @@ def _no_qualities() -> IntArray:
 
 
 @dataclass(frozen=True)
+class Detection:
+    """One marker found in an image; an item of `Detections`, with its conventions.
+
+    Attributes:
+        id: id of the marker.
+        center_px: (2,) centre.
+        heading_rad: direction of the robot's forward axis in the image, from +u to +v.
+        side_px: side of the black square.
+        corners_px: (4, 2) corners of the black square: front left, front right, back right, back left.
+        covariance: (3, 3) of (u, v, heading), in px², px·rad and rad²; all zero if unknown.
+        quality: kind of the measurement.
+    """
+
+    id: int
+    center_px: Array
+    heading_rad: float
+    side_px: float
+    corners_px: Array
+    covariance: Array
+    quality: Quality
+
+    __repr__ = short_repr
+
+    def columns(self) -> dict[str, Any]:
+        """Return the values of `MARKER_COLUMNS`; unknown standard deviations are None."""
+        known = self.covariance.any()
+        stds = np.sqrt(np.diag(self.covariance)) * (1.0, 1.0, np.degrees(1.0)) if known else [None] * 3
+        place = self.id, *self.center_px, float(np.degrees(self.heading_rad)), self.side_px
+        return dict(zip(MARKER_COLUMNS, (*place, *stds, self.quality.name.lower()), strict=True))
+
+
+@dataclass(frozen=True)
 class Detections:
     """Markers found in one image: the only view of the world that `control` has.
 
     It contains image quantities only: no focal length, height, camera pose or metre. All points are in
     pixels, u right and v down, with integers at pixel centres.
+
+    It is a sequence of markers: `for marker in detections` and `detections[0]` give each as a `Detection`.
+    A slice, a mask (N,) or an array of rows gives the `Detections` of these rows.
 
     Attributes:
         unit_id: the aerial unit whose image it is.
@@ -88,6 +141,58 @@ class Detections:
     def __len__(self) -> int:
         return int(self.ids.size)
 
+    def __iter__(self) -> Iterator[Detection]:
+        return (self[row] for row in range(len(self)))
+
+    @overload
+    def __getitem__(self, rows: int | np.integer[Any]) -> Detection: ...
+
+    @overload
+    def __getitem__(self, rows: slice | npt.ArrayLike) -> "Detections": ...
+
+    def __getitem__(self, rows: slice | npt.ArrayLike) -> "Detection | Detections":
+        if not isinstance(rows, int | np.integer):
+            return self._kept(rows if isinstance(rows, slice) else np.asarray(rows))
+        return Detection(
+            id=int(self.ids[rows]),
+            center_px=self.centers_px[rows],
+            heading_rad=float(self.headings_rad[rows]),
+            side_px=float(self.sides_px[rows]),
+            corners_px=self.corners_px[rows],
+            covariance=self.covariances[rows],
+            quality=Quality(self.qualities[rows]),
+        )
+
+    def __repr__(self) -> str:
+        ids = ", ".join(map(str, self.ids[:MAX_SHOWN_IDS])) + ", …" * (len(self) > MAX_SHOWN_IDS)
+        width, height = self.image_size_px
+        return (
+            f"Detections({len(self)} marker(s){': ' if len(self) else ''}{ids}; {width:.0f}x{height:.0f} px, "
+            f"unit {self.unit_id}, {self.time_s:.6g} s)"
+        )
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """Return a pandas table with a row for each marker, as in the tables of `skyherd detect`.
+
+        The columns are `unit_id`, `time_s`, `id`, `u_px`, `v_px`, `heading_deg`, `side_px`, the standard
+        deviations `std_u_px`, `std_v_px` and `std_heading_deg` (NaN if unknown), `quality`, and the corners
+        `corner0_u_px` to `corner3_v_px`.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            where = "Detections.to_dataframe"
+            raise InputError(where, "pandas is not installed", "pip install pandas") from None
+        table = pandas.DataFrame([marker.columns() for marker in self], columns=MARKER_COLUMNS)
+        table.insert(0, "unit_id", self.unit_id)
+        table.insert(1, "time_s", self.time_s)
+        table[list(CORNER_COLUMNS)] = self.corners_px.reshape(-1, len(CORNER_COLUMNS))
+        numbers = set(MARKER_COLUMNS) - {"id", "quality"}
+        return table.astype({"id": int, **dict.fromkeys(numbers, float)})  # also of None and without rows
+
     @property
     def repeated(self) -> BoolArray:
         """Mask (N,) of the detections with a repeated id, which are ambiguous."""
@@ -115,8 +220,8 @@ class Detections:
         keep = self.qualities >= least
         return self if keep.all() else self._kept(keep)
 
-    def _kept(self, keep: BoolArray) -> "Detections":
-        """Return the detections of the mask `keep` (N,)."""
+    def _kept(self, keep: BoolArray | IntArray | slice) -> "Detections":
+        """Return the detections of a mask (N,), of rows (K,), or of a slice."""
         return Detections(
             unit_id=self.unit_id,
             time_s=self.time_s,

@@ -8,6 +8,7 @@ from skyherd.errors import MessageError
 from skyherd.geometry import Array, IntArray
 from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
+from skyherd.messages.short_repr import short_repr
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,8 @@ class MotionGoals:
     sides_px: Array
     neighbor_ids: IntArray
     neighbor_distances_px: Array
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_time(self)

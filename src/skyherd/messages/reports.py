@@ -12,6 +12,7 @@ from skyherd.messages.checks import check_time
 from skyherd.messages.detections import centred
 from skyherd.messages.frozen_arrays import freeze, freeze_ids, freeze_image_size
 from skyherd.messages.role_map import RoleMap
+from skyherd.messages.short_repr import short_repr
 from skyherd.messages.tree_status import TreeStatus
 
 
@@ -48,6 +49,8 @@ class UnitReport:
     cost_sides2: float = 0.0
     side_px: float = 0.0
     roles: RoleMap | None = None
+
+    __repr__ = short_repr
 
     def __post_init__(self) -> None:
         check_time(self)

@@ -15,6 +15,7 @@ from skyherd.errors import InputError
 from skyherd.files.reading import open_regular
 from skyherd.loop import Step
 from skyherd.messages.checks import check_kind
+from skyherd.messages.short_repr import short_repr
 from skyherd.recording.footer import HEAD_CHANNEL, MAGIC, MALFORMED
 from skyherd.recording.plausible import check_step, read_mission
 from skyherd.recording.step_reader import read_step
@@ -57,6 +58,8 @@ class Recording:
     has_images: bool
     ended: bool
     flaws: tuple[Flaw, ...]
+
+    __repr__ = short_repr
 
     @property
     def whole(self) -> bool:

@@ -6,6 +6,7 @@ from typing import Protocol
 
 from skyherd.geometry import Image, IntArray
 from skyherd.messages import Detections
+from skyherd.messages.short_repr import short_repr
 from skyherd.sim.world import World
 
 
@@ -26,6 +27,8 @@ class Sight:
     found_ids: IntArray
     false_detections: int
     image: Image | None
+
+    __repr__ = short_repr
 
 
 class Perception(Protocol):

@@ -6,7 +6,13 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision import create_detector
-from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
+from skyherd.vision.diagnosis.suggestions import (
+    MarkerPrint,
+    _decodable,
+    _largest_of_series,
+    find_dictionary,
+    suggest,
+)
 
 IDS = [4, 11, 30]
 
@@ -53,6 +59,18 @@ def drawn(ids=IDS, *, dictionary="4X4_50", inverted=False) -> np.ndarray:
             {"inverted": True},
             "of another dictionary; try --dictionary 5X5_50",
         ),
+        (
+            {"dictionary": "5X5_50@3", "inverted": True},
+            {},
+            "white on black, drawn with a border of 3 cell(s) and of another dictionary; "
+            "try --inverted --border-bits 3 --dictionary 5X5_50",
+        ),
+        (
+            {"dictionary": "APRILTAG_36h11"},
+            {"border_bits": 2, "inverted": True},
+            "black on white, drawn with a border of 1 cell(s) and of another dictionary; "
+            "try --border-bits 1 --dictionary APRILTAG_36h11 without --inverted",
+        ),
     ],
 )
 def test_suggestion_names_the_difference_and_finds_the_markers(there, looked_for, said) -> None:
@@ -82,6 +100,24 @@ def test_suggest_returns_none_if_the_settings_are_right(options) -> None:
     image = drawn(inverted=bool(options))
     assert suggest(image, "4X4_50", **options) is None
     assert suggest(drawn([4, 4, 6], inverted=bool(options)), "4X4_50", **options) is None
+
+
+def test_larger_dictionary_of_series_is_named_with_inversion() -> None:
+    """The named dictionary reads one of three markers, so that its print alone would be half an answer."""
+    image = drawn([4, 60, 70], dictionary="4X4_100", inverted=True)
+    assert suggest(image, "4X4_50") == (
+        "its markers are white on black and of another dictionary; try --inverted --dictionary 4X4_100"
+    )
+
+
+@pytest.mark.parametrize("name", ["5X5_1900", "6X6_250", "7X7_8000", "APRILTAG_36h10", "ARUCO_MIP_36h12"])
+def test_joint_reading_of_all_codes_keeps_every_dictionary(name) -> None:
+    """The dictionaries that OpenCV reads one by one are among those kept; of an empty image none is."""
+    image, kind = drawn([0, 7, 49], dictionary=name), MarkerPrint()
+    kept = _decodable(image, kind, 3)
+    reads = {one for one in _largest_of_series() if create_detector("opencv", dictionary=one).detect(image)}
+    assert reads and reads <= set(kept) and len(kept) < len(_largest_of_series())
+    assert _decodable(np.full((120, 160), 140, np.uint8), kind, 1) == []
 
 
 def test_nothing_is_suggested_for_an_image_of_nothing() -> None:

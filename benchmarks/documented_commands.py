@@ -139,7 +139,7 @@ class Session:
 
     @property
     def ended(self) -> bool:
-        """Whether the process has ended."""
+        """True if the process has ended."""
         return self._process.poll() is not None
 
     def close(self) -> None:
@@ -154,6 +154,9 @@ class Session:
             except subprocess.TimeoutExpired:
                 continue
         self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
         shutil.rmtree(self._pieces, ignore_errors=True)
 
 
@@ -264,7 +267,7 @@ class PageRun:
         self.sessions: dict[str, Session] = {}
 
     def session(self, kind: str) -> Session:
-        """Return the shell or the Python process of the page, started if there is none."""
+        """Return the shell or the Python process of the page; start it if necessary."""
         if kind not in self.sessions or self.sessions[kind].ended:
             words = ["bash", "-c", BASH_LOOP] if kind == "sh" else [str(self.python), "-uc", PYTHON_LOOP]
             self.sessions[kind] = Session(words, self.folder, self.variables)

@@ -191,6 +191,41 @@ def test_wrong_settings_are_one_line(setting, said):
         load_mission("star", [setting])
 
 
+def test_mapping_of_settings_equals_their_texts():
+    texts = ["perception=ideal", "units.*.height_m=9", "units.0.position_m=[1, 2]", "video={speed=2.0}"]
+    mapping = {
+        "perception": "ideal",
+        "units.*.height_m": np.int64(9),
+        "units.0.position_m": np.array([1, 2]),
+        "video": {"speed": 2.0},
+    }
+    wanted = load_mission("star", texts).scenario
+    assert load_mission("star", mapping).scenario == wanted
+    mapping["units.0.position_m"] = (1, 2)
+    assert load_mission("star", mapping).scenario == wanted
+    assert load_mission("star", mapping | {"seed": 8}).scenario != wanted
+
+
+@pytest.mark.parametrize(
+    ("mapping", "said"),
+    [
+        ({"control.k": -1}, "settings: control.k: -1; a finite number from"),
+        ({"contrl.k": 1}, "settings: contrl.k: unknown key; did you mean 'control'?"),
+        ({3: 1}, "settings: 3: key: 3; a dotted key"),
+        ({"control.k": object}, "settings: control.k: <class 'object'>; a finite number"),
+        ({"perception": "ideall"}, "settings: perception: 'ideall'; did you mean 'ideal'?"),
+    ],
+)
+def test_problem_of_a_mapping_names_its_key(mapping, said):
+    with pytest.raises(InputError) as wrong:
+        load_mission("star", mapping)
+    assert str(wrong.value).startswith(said) and "\n" not in str(wrong.value)
+
+
+def test_mission_has_a_short_representation():
+    assert repr(load_mission("star", {"duration_s": 2})) == "Mission(star: 16 robots, 3 unit(s), 2 s)"
+
+
 def test_scatter_is_seeded_and_keeps_its_spacing():
     first, again, other = (load_mission("grid", seed=seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(first.positions_m, again.positions_m)

@@ -249,7 +249,9 @@ def differences(shown: tuple[str, ...], output: str) -> list[str]:
 
 def file_name(piece: Piece, text: str) -> str | None:
     """Return the name under which a page has its reader save a block, or None."""
-    before, after = text.split(piece.text, 1)
+    before, found, after = text.partition(piece.text)
+    if not found:  # of a notebook, whose text is JSON
+        return None
     named = re.search(r"[Ss]ave (?:this )?as\s`([\w.]+)`:\s*```\w+\n$", before)
     named = named or re.match(r"```\s*Saved? (?:it |this )?as `([\w.]+)`", after)
     return named[1] if named else None

@@ -9,8 +9,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from skyherd.datasets.configuration.validation import MAX_SHOWN
 from skyherd.errors import InputError
 from skyherd.files.reading import read_text
@@ -125,7 +123,7 @@ def apply_settings(
     origins = {}
     if isinstance(settings, Mapping):
         for key, value in settings.items():
-            put_value(tree, key, plain(value), f"settings: {key}", see=see)
+            put_value(tree, key, value, f"settings: {key}", see=see)
             origins[key] = f"settings: {key}"
         return origins
     for setting in check_texts("settings", settings):
@@ -136,15 +134,6 @@ def apply_settings(
         put_value(tree, key, _setting_value(text), f"--set {key}", see=see)
         origins[key] = f"--set {key}"
     return origins
-
-
-def plain(value: object) -> object:
-    """Return a value with arrays, tuples and mappings as lists and dictionaries, as TOML has them."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
-    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 def _setting_value(text: str) -> Any:

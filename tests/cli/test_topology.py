@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from skyherd.cli import main
+from skyherd.datasets import scenario_text
 from skyherd.recording.writer import McapRecorder
 
 
@@ -59,11 +60,20 @@ def test_topology_of_a_run_shows_deaths_and_measured_rate(run, capsys) -> None:
     assert (run / "mine.svg").read_bytes().endswith(b"</svg>\n")
 
 
-def test_free_overlaps_list_violations_with_exit_code_1(tmp_path, capsys) -> None:
+def test_free_overlaps_are_listed_and_not_required(tmp_path, capsys) -> None:
     code, said, _ = call(capsys, "topology", "star", "--out", tmp_path / "star.png")
-    assert code == 1
+    assert code == 0
+    assert "VIOLATED" not in said and "sufficient, not required here" in said
     for words in ("units 0 and 1 share", "controlled by 3 units", "units on a cycle: 0, 1, 2"):
         assert words in said
+
+
+def test_uncontrolled_robot_violates_a_required_condition(tmp_path, capsys) -> None:
+    file = tmp_path / "far.toml"
+    file.write_text(scenario_text("triangle").replace("height_m = 10.7", "height_m = 4.0"))
+    code, said, _ = call(capsys, "topology", file, "--out", tmp_path / "far.png")
+    assert code == 1
+    assert "VIOLATED" in said and "controlled by no unit" in said
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def test_run_writes_all_documented_files(tmp_path, capsys, monkeypatch, figures)
         capsys, "run", "star", "--out", out, "--perception", "ideal", "--set", "duration_s=1.0"
     )
     assert code == 1  # One second is too short to reach the shape.
-    assert "NOT reached" in said
+    assert "Shape not reached, error" in said
     assert {entry.name for entry in out.iterdir()} == {
         ".skyherd.json", "run.mcap", "video.mp4", "figures", "summary.json", "report.html",
     }  # fmt: skip
@@ -87,7 +87,7 @@ def test_reached_shape_has_exit_code_0(tmp_path, capsys):
     wide = ["--set", "goal.shape_error=9", "--set", "goal.hold_s=0.5"]
     code, said, _ = call(capsys, "run", "triangle", "--out", tmp_path / "run", *SHORT, *wide)
     assert code == 0
-    assert "shape reached" in said
+    assert "Shape reached after 0 s" in said
 
 
 def test_report_reproduces_the_summary(tmp_path, capsys):

@@ -10,7 +10,8 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
 from skyherd.analysis.history import make_history
-from skyherd.analysis.summary import held_to_the_end, reached_s, summarize
+from skyherd.analysis.summary import summarize
+from skyherd.analysis.verdict import held_to_the_end, reached_s
 from skyherd.datasets import load_mission
 from skyherd.errors import InputError
 from skyherd.loop import run_steps

@@ -1,5 +1,6 @@
 """A run as arrays over time, the source of figures and summary."""
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,13 +15,18 @@ from skyherd.analysis.tree_snapshot import TreeHistory, TreeSnapshot
 from skyherd.control import Template, control_matrix
 from skyherd.datasets import Mission, SizeModel
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
-from skyherd.loop import Step, dead_units
+from skyherd.loop import Step, UnitFrame, dead_units
 from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.sim.truth_metrics import affine_error
+from skyherd.sim.world import Fleet
 
 WAYPOINTS = 61
 """Maximum number of positions of each robot in `History.waypoints_m`. Chosen: paths of a minute look as they
 do in full, and a study of thousands of runs can keep them."""
+
+FOREIGN_SHARE = 0.1
+"""Share of the images from which an id counts as one that is really there. Chosen: false detections change
+from image to image."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +78,7 @@ class History:
         whole: markers whose card was whole in an image, over all images.
         found: number of these that were detected.
         false_detections: detections that match no robot.
+        foreign_ids: ids of no robot or obstacle that at least `FOREIGN_SHARE` of the images show, ascending.
         traffic: messages to robots and units.
     """
 
@@ -105,6 +112,7 @@ class History:
     whole: int
     found: int
     false_detections: int
+    foreign_ids: list[int]
     traffic: Traffic
 
     @cached_property
@@ -171,6 +179,16 @@ class History:
     def shape(self) -> Template:
         """The shape at the end, with the template point that each robot has then."""
         return self.mission.shape_at(float(self.times_s[-1]), self.roles[-1])
+
+    def fleet(self, row: int) -> Fleet:
+        """Return the state of the units at a step."""
+        return Fleet(
+            positions_m=self.unit_positions_m[row],
+            heights_m=self.heights_m[row],
+            yaws_rad=self.yaws_rad[row],
+            tilts_rad=self.tilts_rad[row],
+            zooms=self.zooms[row],
+        )
 
     @property
     def ready_row(self) -> int | None:
@@ -245,6 +263,7 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
         whole=sum(frame.sight.whole_ids.size for frame in frames),
         found=sum(frame.sight.found_ids.size for frame in frames),
         false_detections=sum(frame.sight.false_detections for frame in frames),
+        foreign_ids=_foreign_ids(mission, frames),
         traffic=count_traffic(mission, steps),
     )
 
@@ -252,6 +271,14 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
 def _trees(mission: Mission, steps: list[Step]) -> list[TreeSnapshot | None]:
     history = TreeHistory()
     return [history.add(step, dead_units(mission.scenario, step.time_s)) for step in steps]
+
+
+def _foreign_ids(mission: Mission, frames: list[UnitFrame]) -> list[int]:
+    """Return the ids in `History.foreign_ids`."""
+    counts = Counter(number for frame in frames for number in set(frame.sight.detections.ids.tolist()))
+    known = {*mission.ids.tolist(), *mission.obstacle_ids.tolist()}
+    least = FOREIGN_SHARE * len(frames)
+    return sorted(number for number, count in counts.items() if number not in known and count >= least)
 
 
 def _goal_errors(mission: Mission, steps: list[Step]) -> Array:

@@ -12,29 +12,10 @@ from scipy.spatial.distance import pdist
 from skyherd.analysis.dwell_time import estimate_dwell_time
 from skyherd.analysis.history import History
 from skyherd.analysis.shortest_paths import shortest_path
-from skyherd.analysis.verdict import explain_failure
+from skyherd.analysis.verdict import explain_outcome, held_to_the_end, reached_s
 from skyherd.datasets import Scenario
 from skyherd.geometry import ComplexArray, IntArray, to_complex, to_points
 from skyherd.messages import TIME_TOLERANCE_S
-
-
-def held_to_the_end(history: History) -> bool:
-    """Return whether the shape error stayed under its goal for `goal.hold_s` up to the last step.
-
-    A run shorter than the hold time has not reached the goal.
-    """
-    goal, times = history.mission.scenario.goal, history.times_s
-    if times[-1] - times[0] < goal.hold_s:
-        return False
-    last = times >= times[-1] - goal.hold_s - TIME_TOLERANCE_S
-    return bool((history.shape_error[last] < goal.shape_error).all())
-
-
-def reached_s(history: History) -> float | None:
-    """Return the time, s, since which the shape error is under its goal; None if not at the end."""
-    above = np.flatnonzero(~(history.shape_error < history.mission.scenario.goal.shape_error))
-    first = int(above[-1]) + 1 if above.size else 0
-    return round(float(history.times_s[first]), 9) if first < history.times_s.size else None
 
 
 def summarize(history: History, wall_s: float | None) -> dict[str, Any]:
@@ -75,7 +56,7 @@ def _course(history: History, wall_s: float | None) -> dict[str, Any]:
     return {
         "converged": held_to_the_end(history),
         "reached_s": reached_s(history),
-        "verdict": None if held_to_the_end(history) else explain_failure(history),
+        "verdict": explain_outcome(history, complete=wall_s is not None),
         "complete": wall_s is not None,
         "simulated_s": simulated_s,
         "real_time_factor": per_wall(simulated_s),

@@ -53,7 +53,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "s",
             "Time since which the shape error stayed below its goal, from the start of the run.",
         ),
-        Field("verdict", "Cause", "", "Reason why the shape was not reached; empty if it was."),
+        Field("verdict", "Verdict", "", "What happened and, if the shape was not reached, why."),
         Field("complete", "Complete", "", "The run reached its planned end, and its recording is intact."),
         Field(
             "shape_error",

@@ -18,6 +18,7 @@ from skyherd.control import (
     laplacian,
     slowest_rate,
 )
+from skyherd.datasets import Mission
 from skyherd.geometry import Array, ComplexArray, IntArray
 
 Edge = tuple[int, int]
@@ -38,6 +39,19 @@ MIN_SAMPLES = 20
 MIN_RATE = 1e-9
 """Threshold below which eigenvalues of the Laplacian are zero. Derived: exceeds rounding, about 1e-15 times
 the number of robots."""
+
+
+NOT_REQUIRED = "sufficient, not required here"
+"""Remark on TC3 to TC5 in scenarios whose topologies are in Q."""
+
+
+def required_conditions(mission: Mission) -> int:
+    """Return the number of conditions that a mission keeps: TC1 and TC2 in Q, or all five in P.
+
+    Units that control all robots inside their safety radius overlap freely. TC1 and TC2 then suffice for
+    local convergence.
+    """
+    return 2 if mission.scenario.selection.kind == "radius" else 5
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,17 @@
-"""Reason why a run did not reach its shape, in one sentence."""
+"""Outcome of a run in one sentence: what happened and, if the shape was not reached, why.
+
+Terminal, page, video and `summary.json` show the same sentence. It rests on ground truth.
+"""
+
+from collections.abc import Callable
 
 import numpy as np
 
 from skyherd.analysis.history import History
-from skyherd.geometry import Array
+from skyherd.analysis.views import MIN_MARKER_PX, Views, views_at
+from skyherd.geometry import Array, BoolArray, IntArray
+from skyherd.messages import TIME_TOLERANCE_S
+from skyherd.sim.network import connected_parts
 
 RATE_SHARE = 0.2
 """Last part of a run from which the decay of its error is estimated. Chosen: longer than noise and turns."""
@@ -11,41 +19,166 @@ RATE_SHARE = 0.2
 MIN_DECAY = 0.02
 """Least share of its error that a run loses over that part and still counts as converging. Chosen."""
 
+MIN_RECALL = 0.5
+"""Share of detected markers below which detection is the cause. Chosen."""
 
-def explain_failure(history: History) -> str:
-    """Return why the shape was not reached: the first cause that applies, without a full stop.
+OFTEN = 0.5
+"""Share of robots and steps from which a state counts as the usual one. Chosen."""
 
-    The causes are, in this order: no robot is detected, robots that no unit ever controlled, units without a
-    shared pair of robots, and an error that still falls.
+AT_LIMIT = 0.99
+"""Share of a speed limit from which a wheel counts as saturated. Chosen: above rounding."""
+
+LOOKS = 9
+"""Number of instants at which the sides of markers are looked up. Chosen: as a median needs."""
+
+MAX_NAMED = 6
+"""Largest number of ids in a sentence; the others are counted. Chosen: one line."""
+
+
+def held_to_the_end(history: History) -> bool:
+    """Return whether the shape error stayed under its goal for `goal.hold_s` up to the last step.
+
+    A run shorter than the hold time has not reached the goal.
     """
-    goal = history.mission.scenario.goal
-    error = f"shape error {100 * history.shape_error[-1]:.2g} % instead of {100 * goal.shape_error:.2g} %"
-    has_units = history.mission.scenario.control.method == "similarity"
-    cause = (has_units and (_unseen(history) or _unshared(history))) or _falling(history)
-    return f"{error}: {cause or 'it no longer falls'}"
+    goal, times = history.mission.scenario.goal, history.times_s
+    if times[-1] - times[0] < goal.hold_s:
+        return False
+    last = times >= times[-1] - goal.hold_s - TIME_TOLERANCE_S
+    return bool((history.shape_error[last] < goal.shape_error).all())
+
+
+def reached_s(history: History) -> float | None:
+    """Return the time, s, since which the shape error is under its goal; None if not at the end."""
+    above = np.flatnonzero(~(history.shape_error < history.mission.scenario.goal.shape_error))
+    first = int(above[-1]) + 1 if above.size else 0
+    return round(float(history.times_s[first]), 9) if first < history.times_s.size else None
+
+
+def explain_outcome(history: History, *, complete: bool = True) -> str:
+    """Return the outcome of a run in one sentence.
+
+    Args:
+        history: the run.
+        complete: whether the run reached its planned end.
+    """
+    scenario, end_s = history.mission.scenario, float(history.times_s[-1])
+    held = held_to_the_end(history)
+    error = f"{100 * history.shape_error[-1]:.2g} %"
+    wanted = f"{100 * scenario.goal.shape_error:.2g} %"
+    if not complete:
+        formed = "formed and held" if held else "not formed and held"
+        return f"Cut short after {end_s:g} of {scenario.duration_s:g} s; until then, the shape was {formed}."
+    if held:
+        return (
+            f"Shape reached after {reached_s(history):.3g} s and held to the end, with an error of {error}."
+        )
+    if history.shape_error[-1] < scenario.goal.shape_error:
+        cause = f"its error is below {wanted}, but not for the last {scenario.goal.hold_s:g} s"
+        return f"Shape reached, but not held: {cause}."
+    return f"Shape not reached, error {error} instead of {wanted}: {_cause(history)}."
+
+
+def _cause(history: History) -> str:
+    """Return the first cause that applies, from what a unit sees to the motion of the robots."""
+    causes: list[Callable[[History], str | None]] = []
+    if history.mission.scenario.control.method == "similarity":
+        causes = [_unseen, _undetected, _out_of_range, _uncontrolled, _unshared, _stale]
+    causes += [_saturated, _falling, _resting, _bent]
+    return next(filter(None, (cause(history) for cause in causes)), "the error no longer falls")
 
 
 def _unseen(history: History) -> str | None:
-    """Name the robots that no unit ever controlled."""
-    never = history.ids[~history.controlled.any(axis=(0, 1))]
-    if never.size and history.whole and not history.found:
-        return "no marker was detected, though markers are in view; check their size and dictionary"
-    if never.size == history.ids.size:
-        few = "fewer than two robots were ever inside a unit's safety radius"
-        return few if history.whole else "no robot was ever in view of a unit"
-    if never.size:
-        return f"no unit ever controlled robots {', '.join(map(str, never.tolist()))}"
-    return None
+    """State that no camera saw a robot."""
+    if history.whole:
+        return None
+    return "no robot was ever in view of a unit; check the units' positions and heights"
+
+
+def _undetected(history: History) -> str | None:
+    """State why markers in view were not detected: other ids, small markers or another dictionary."""
+    if not history.whole or history.found >= MIN_RECALL * history.whole:
+        return None
+    if history.false_detections >= MIN_RECALL * history.whole:
+        given = f"ids {_named(history.foreign_ids)}, which no robot has" if history.foreign_ids else ""
+        return f"the markers in view have {given or 'the ids of other robots'}; check robots.ids"
+    marker = history.mission.scenario.marker
+    share = f"{100 * history.found / history.whole:.0f} % of the markers in view were detected"
+    side_px = _usual_side_px(history)
+    if side_px < MIN_MARKER_PX:
+        few = f"the markers are too small: {side_px:.0f} px wide in the images, so that {share}"
+        return f"{few}; fly lower, or enlarge marker.side_m to {MIN_MARKER_PX:.0f} px"
+    return (
+        f"{share}, though they are {side_px:.0f} px wide; "
+        f"their dictionary may not be {marker.dictionary} (marker.dictionary)"
+    )
+
+
+def _usual_side_px(history: History) -> float:
+    """Return the median side of the markers in view, px, at `LOOKS` instants."""
+    rows = np.linspace(0, len(history.times_s) - 1, LOOKS).astype(int).tolist()
+    sides_px = np.concatenate([views_at(history, row).sides_px.ravel() for row in rows])
+    seen = sides_px[np.isfinite(sides_px)]
+    return float(np.median(seen)) if seen.size else 0.0
+
+
+def _out_of_range(history: History) -> str | None:
+    """State which units cannot hear each other at the end, if they negotiate."""
+    scenario = history.mission.scenario
+    range_m, alive = scenario.network.range_m, _alive(history)
+    if range_m is None or scenario.selection.kind == "radius":
+        return None
+    places_m = history.unit_positions_m[-1, alive]
+    hears: BoolArray = np.linalg.norm(places_m[:, None] - places_m, axis=2) <= range_m
+    parts = connected_parts([np.flatnonzero(row).tolist() for row in hears])
+    if len(parts) == 1 and (scenario.network.relay or hears.all()):
+        return None
+    names = " | ".join(_named([alive[unit] for unit in part]) for part in parts)
+    need = f"the radio reaches {range_m:g} m (network.range_m)"
+    return f"{need}, which cuts the units into groups without contact: {names}" if len(parts) > 1 else need
+
+
+def _uncontrolled(history: History) -> str | None:
+    """State which robots no unit controls, since when (TC2), and why."""
+    controlled: BoolArray = np.asarray(history.controlled.any(axis=1))
+    lost = np.flatnonzero(~controlled[-1])
+    if not lost.size:
+        return None
+    first = max((int(np.flatnonzero(row)[-1]) + 1 for row in controlled.T[lost] if row.any()), default=0)
+    since = f" since {history.times_s[first]:.3g} s" if first else ""
+    return f"no unit controls {robots_of(history, lost)}{since} (TC2): {_out_of_radius(history, lost)}"
+
+
+def _out_of_radius(history: History, lost: IntArray) -> str:
+    """Return why robots, rows (M,), are inside no safety radius: the radius, low cameras or few units."""
+    scenario, alive = history.mission.scenario, _alive(history)
+    if not alive:
+        return "all units are dead"
+    views = _only(views_at(history, -1), alive)
+    radius = scenario.selection.radius
+    radii = views.radii[:, lost]
+    if (radii.min(axis=0) <= radius).all():
+        return "inside a safety radius, but no unit took control"
+    if views.in_view[:, lost].any(axis=0).all():
+        return (
+            f"in view, but outside the safety radius of {radius:g} (selection.radius); "
+            "enlarge it or fly higher"
+        )
+    needed = radii.min(axis=0).max() / radius
+    nearest = int(radii[:, radii.min(axis=0).argmax()].argmin())
+    unit, height_m = alive[nearest], float(history.heights_m[-1, alive[nearest]])
+    limit_m = scenario.autopilot.max_height_m
+    if height_m * needed > limit_m:
+        return f"too few units, since autopilot.max_height_m = {limit_m:g} is too low to see them all"
+    focal_px = scenario.units[unit].camera.make().focal_px * float(history.zooms[-1, unit])
+    if (side_px := focal_px * scenario.marker.side_m / (height_m * needed)) < MIN_MARKER_PX:
+        need_m = f"{height_m * needed:.3g} m"
+        return f"too few units, since from {need_m}, where all are in view, markers are {side_px:.2g} px wide"
+    return f"unit {unit} is too low at {height_m:.3g} m; about {height_m * needed:.3g} m are needed"
 
 
 def _unshared(history: History) -> str | None:
-    """Say which units share no pair of robots with the others at the end."""
-    end_s, units = float(history.times_s[-1]), history.mission.scenario.units
-    alive = [
-        unit
-        for unit, model in enumerate(units)
-        if not any(start_s <= end_s < stop_s for start_s, stop_s in model.outages)
-    ]
+    """State which units share no pair of robots with the others at the end (TC1), and why."""
+    alive = _alive(history)
     sets = history.controlled[-1].astype(int)
     linked = sets @ sets.T >= 2
     reached = set(alive[:1])
@@ -54,7 +187,47 @@ def _unshared(history: History) -> str | None:
     apart = sorted(set(alive) - reached)
     if not apart:
         return None
-    return f"units {', '.join(map(str, apart))} share no pair of robots with unit {alive[0]} or its partners"
+    views, radius = views_at(history, -1), history.mission.scenario.selection.radius
+    seen = (views.in_view[apart][:, None] & views.in_view[sorted(reached)]).sum(axis=2).max()
+    few = "fewer than two robots are in view of both: their views do not overlap enough (TC1)"
+    cut = (
+        f"{seen} robots are in view of both, but the safety radius of {radius:g} cuts them (selection.radius)"
+    )
+    who = "unit" if len(apart) == 1 else "units"
+    return f"{who} {_named(apart)} and unit {alive[0]} share no pair of robots: {cut if seen >= 2 else few}"
+
+
+def _stale(history: History) -> str | None:
+    """State which robots stand still because their goals are stale, and why."""
+    stale = np.flatnonzero(~history.commanded[_last_part(history.times_s)].any(axis=0))
+    if stale.size and not views_at(history, -1).in_view[:, stale].any():
+        return f"{robots_of(history, stale)} left the images: {_out_of_radius(history, stale)}"
+    share = 1 - float(history.commanded[_last_part(history.times_s)].mean())
+    if share < OFTEN:
+        return None
+    timeout_s = history.mission.scenario.robots.timeout_s
+    return f"robots had no fresh goal in {100 * share:.0f} % of the time (robots.timeout_s = {timeout_s:g})"
+
+
+def _saturated(history: History) -> str | None:
+    """State that the robots drive at a limit of their wheels, and the time that they still need."""
+    robots, last = history.mission.scenario.robots, _last_part(history.times_s)
+    speeds = np.abs(history.v_mps)[last] / robots.max_speed_mps
+    turns = np.abs(history.omega_radps)[last] / robots.max_turn_radps
+    share, limit = max(
+        (float((speeds >= AT_LIMIT).mean()), f"speed limit of {robots.max_speed_mps:g} m/s (max_speed_mps)"),
+        (
+            float((turns >= AT_LIMIT).mean()),
+            f"turn limit of {robots.max_turn_radps:g} rad/s (max_turn_radps)",
+        ),
+    )
+    if share < OFTEN:
+        return None
+    goal, errors = history.mission.scenario.goal, history.shape_error[last]
+    slope_ps = -float(np.polyfit(history.times_s[last], errors, 1)[0]) if errors.size > 1 else 0.0
+    more_s = (errors[-1] - goal.shape_error) / slope_ps + goal.hold_s if slope_ps > 0 else np.inf
+    more = f"; at least {more_s:.0f} s more are needed" if np.isfinite(more_s) else ""
+    return f"the wheels are at their {limit} in {100 * share:.0f} % of the time{more}"
 
 
 def _falling(history: History) -> str | None:
@@ -64,14 +237,63 @@ def _falling(history: History) -> str | None:
     if rate_ps is None:
         return None
     more_s = max(np.log(history.shape_error[-1] / goal.shape_error) / rate_ps, 0.0) + goal.hold_s
-    return f"the error still falls by {100 * rate_ps:.1f} % a second; about {more_s:.0f} s more are needed"
+    falls = f"the error still falls by {100 * rate_ps:.1f} % a second"
+    return f"the run is too short, since {falls}; about {more_s:.0f} s more are needed"
+
+
+def _resting(history: History) -> str | None:
+    """State that the robots stopped at their threshold."""
+    control = history.mission.scenario.control
+    if not control.b_th or np.abs(history.v_mps[_last_part(history.times_s)]).any():
+        return None
+    unit = "marker sides" if control.gains == "marker" else "px"
+    return f"the robots stopped within {control.b_th:g} {unit} of their goals (control.b_th)"
+
+
+def _bent(history: History) -> str | None:
+    """State that tilted or distorting cameras are not rectified."""
+    scenario = history.mission.scenario
+    if scenario.control.rectify or all(unit.ideal for unit in scenario.units):
+        return None
+    return "the cameras are tilted or distort, and control.rectify is off"
+
+
+def _last_part(times_s: Array) -> BoolArray:
+    """Return the mask (T,) of the last `RATE_SHARE` of a run."""
+    return np.asarray(times_s >= times_s[-1] - RATE_SHARE * (times_s[-1] - times_s[0]))
 
 
 def _decay_ps(times_s: Array, errors: Array) -> float | None:
     """Return the exponential decay rate of the error over the last part of a run; None if it has stopped."""
-    last = times_s >= times_s[-1] - RATE_SHARE * (times_s[-1] - times_s[0])
-    last &= np.isfinite(errors) & (errors > 0)
+    last = _last_part(times_s) & np.isfinite(errors) & (errors > 0)
     if last.sum() < 3:
         return None
     rate_ps = -float(np.polyfit(times_s[last], np.log(errors[last]), 1)[0])
     return rate_ps if rate_ps * float(np.ptp(times_s[last])) > MIN_DECAY else None
+
+
+def _alive(history: History) -> list[int]:
+    """Return the units that are not in an outage at the end."""
+    end_s, units = float(history.times_s[-1]), history.mission.scenario.units
+    outages = (model.outages for model in units)
+    return [
+        unit
+        for unit, spans in enumerate(outages)
+        if not any(start_s <= end_s < stop_s for start_s, stop_s in spans)
+    ]
+
+
+def _only(views: Views, units: list[int]) -> Views:
+    """Return the views of some units."""
+    return Views(views.in_view[units], views.sides_px[units], views.radii[units])
+
+
+def robots_of(history: History, rows: IntArray) -> str:
+    """Name the robots of some rows (M,) of a run."""
+    return f"robot{'s' if rows.size > 1 else ''} {_named(history.ids[rows].tolist())}"
+
+
+def _named(numbers: list[int]) -> str:
+    """Name some numbers, and count the others."""
+    shown = ", ".join(map(str, numbers[:MAX_NAMED]))
+    return shown if len(numbers) <= MAX_NAMED else f"{shown} and {len(numbers) - MAX_NAMED} more"

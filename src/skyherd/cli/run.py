@@ -144,14 +144,9 @@ def _say_result(summary: dict[str, Any], folder: Path) -> None:
     """Print the result in a few lines."""
     from skyherd.report.run_page import PAGE, VIDEO
 
-    verdict = "reached" if summary["converged"] else "NOT reached"
     recall = summary["detection_recall"]
-    say(
-        f"shape {verdict}: error {summary['shape_error']:.2g}, scale {summary['scale']:.4g} m a unit,"
-        f" V {summary['V_start']:.4g} → {summary['V_end']:.3g} m²"
-    )
-    if summary["verdict"]:
-        say(summary["verdict"])
+    say(summary["verdict"], bold=True)
+    say(f"scale {summary['scale']:.4g} m a unit, V {summary['V_start']:.4g} → {summary['V_end']:.3g} m²")
     say(
         f"{summary['steps']} steps, {summary['frames']} images, "
         f"recall {'–' if recall is None else format(recall, '.2%')}, "

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from skyherd.cli.choices import complete_scenario
-from skyherd.cli.console import say, say_table
+from skyherd.cli.console import say, say_table, warn
 from skyherd.cli.options import ScenarioSettings
 
 scenario_app = typer.Typer(help="List, show and check scenarios.", rich_markup_mode=None)
@@ -49,12 +49,15 @@ def check(
     ],
     settings: ScenarioSettings = None,
 ) -> None:
-    """Check a scenario without running it."""
+    """Check a scenario, and warn of what keeps its robots from the shape."""
+    from skyherd.analysis.foresight import foresee
     from skyherd.datasets import load_mission
 
     mission = load_mission(file, settings or [])
     scenario = mission.scenario
     say(f"{file}: good: {mission.ids.size} robots, {len(scenario.units)} unit(s), {scenario.duration_s:g} s")
+    for warning in foresee(mission):
+        warn(warning)
 
 
 @scenario_app.command()

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from skyherd.analysis.history import History
     from skyherd.analysis.topology_report import TopologyReport
     from skyherd.datasets import Mission
-    from skyherd.geometry import IntArray
-    from skyherd.loop import Step
 
 PICTURES = (".png", ".svg")
 """Kinds of picture that can be written, by the end of the file's name."""
@@ -55,8 +53,11 @@ def topology(
 
     A scenario is judged after deployment, a run at its end.
 
-    Exit code 0 if TC1-TC5 hold, 1 if one is violated, 2 for bad input.
+    Units that overlap freely (selection.kind "radius") require TC1 and TC2 only.
+
+    Exit code 0 if the required conditions hold, 1 if one is violated, 2 for bad input.
     """
+    from skyherd.analysis.foresight import living_sets
     from skyherd.analysis.topology_report import judge_topology
     from skyherd.files.output_file import OutputFile
 
@@ -69,20 +70,29 @@ def topology(
     path = picture or default
     output = OutputFile(path, "topology", force=force or picture is None)
     output.check()
-    report = judge_topology(_living_sets(history), history.shape)
+    report = judge_topology(living_sets(history), history.shape)
     _say_graph(report, history)
-    _say_conditions(report)
+    _say_conditions(report, history.mission)
     _say_prediction(report, history, is_run=is_run)
     if is_run:
         _say_changes(history)
     with output:
         _draw(report, history, path)
     say(f"see {path}")
-    return 0 if report.conditions.in_p else 1
+    return 1 if _broken(report, history.mission) else 0
+
+
+def _broken(report: "TopologyReport", mission: "Mission") -> list[int]:
+    """Return the violated conditions among those that the mission requires, ascending."""
+    from skyherd.analysis.topology_report import required_conditions
+
+    broken = sorted({breach.condition for breach in report.breaches})
+    return [number for number in broken if number <= required_conditions(mission)]
 
 
 def _open(source: str) -> tuple["History", Path, bool]:
     """Return the history, the path of its picture, and whether it is of a run."""
+    from skyherd.analysis.foresight import deploy
     from skyherd.analysis.history import make_history
     from skyherd.datasets import load_mission
     from skyherd.recording.reader import read_recording
@@ -100,40 +110,23 @@ def _open(source: str) -> tuple["History", Path, bool]:
         if recording.flaws:
             warn(f"{path}: {describe_flaws(recording.flaws)}")
         return make_history(recording.mission, recording.steps), path.with_name("topology.png"), True
-    mission = load_mission(source, ["perception=ideal"])
-    return _deploy(mission), Path(f"{mission.scenario.name}-topology.png"), False
-
-
-def _deploy(mission: "Mission") -> "History":
-    """Run a mission until its topology is in place."""
-    from skyherd.analysis.history import make_history
-    from skyherd.loop import run_steps
-
-    steps: list[Step] = []
-    for step in run_steps(mission):
-        steps.append(step)
-        trees = [frame.decision.report.tree for frame in step.frames.values()]
-        if any(tree is None or tree.ready for tree in trees):
-            return make_history(mission, steps)
-    warn(f"the tree of units was not complete after {step.time_s:g} s; its last state is shown")
-    return make_history(mission, steps)
-
-
-def _living_sets(history: "History") -> dict[int, "IntArray"]:
-    """Return the ids of the robots that each living unit controls at the end of a history."""
-    tree = history.trees[-1]
-    dead = frozenset[int]() if tree is None else tree.dead
-    return {unit: history.ids[mine] for unit, mine in enumerate(history.controlled[-1]) if unit not in dead}
+    mission = load_mission(source)
+    history, is_ready = deploy(mission)
+    if not is_ready:
+        warn(f"the tree of units was not complete after {history.times_s[-1]:g} s; its last state is shown")
+    return history, Path(f"{mission.scenario.name}-topology.png"), False
 
 
 def _draw(report: "TopologyReport", history: "History", path: Path) -> None:
     """Write the picture of the graph; its title says when it was, and what the conditions say."""
+    from skyherd.analysis.topology_report import required_conditions
     from skyherd.files.atomic import write_whole
     from skyherd.plots.graph import draw_graph
     from skyherd.plots.style import DPI, drawing_style
 
-    broken = sorted({breach.condition for breach in report.breaches})
-    verdict = f"violated: {', '.join(f'TC{number}' for number in broken)}" if broken else "TC1-TC5 hold"
+    required = required_conditions(history.mission)
+    names = ", ".join(f"TC{number}" for number in _broken(report, history.mission))
+    verdict = f"violated: {names}" if names else f"TC1-TC{required} hold"
     at = f"{history.mission.scenario.name} at {history.times_s[-1]:.1f} s"
     with drawing_style():
         figure = draw_graph(history)
@@ -156,21 +149,24 @@ def _say_graph(report: "TopologyReport", history: "History") -> None:
     say_table(("unit", "robots", "shares with"), rows)
 
 
-def _say_conditions(report: "TopologyReport") -> None:
+def _say_conditions(report: "TopologyReport", mission: "Mission") -> None:
     """Print each of TC1-TC5, whether it holds, and what it means or who violates it."""
     from skyherd.analysis.summary_fields import TC_MEANINGS
+    from skyherd.analysis.topology_report import NOT_REQUIRED, required_conditions
 
     conditions = report.conditions
     holds = (conditions.tc1, conditions.tc2, conditions.tc3, conditions.tc4, conditions.tc5)
     rows = []
     for number, (good, meaning) in enumerate(zip(holds, TC_MEANINGS, strict=True), 1):
         breaches = [breach.what for breach in report.breaches if breach.condition == number]
-        rows.append((f"TC{number}", "holds" if good else "VIOLATED", "\n".join(breaches) or meaning))
+        broken = "VIOLATED" if number <= required_conditions(mission) else NOT_REQUIRED
+        rows.append((f"TC{number}", "holds" if good else broken, "\n".join(breaches) or meaning))
     say_table(("condition", "", ""), rows)
 
 
 def _say_prediction(report: "TopologyReport", history: "History", *, is_run: bool) -> None:
     """Print the slowest mode and what follows from it: where robots rest, the rate, and the time to 1 %."""
+    from skyherd.analysis.foresight import ASSUMPTION
     from skyherd.analysis.topology_report import last_stretch, predicted_time_s, resting_error
     from skyherd.geometry import to_complex
 
@@ -190,7 +186,7 @@ def _say_prediction(report: "TopologyReport", history: "History", *, is_run: boo
     time_s = predicted_time_s(report.sets, history.shape, positions, control.k, REACHED_ERROR)
     since_s = history.times_s[start]
     reached = "never" if time_s is None else f"{time_s:.1f} s"
-    say(f"predicted: 1 % is reached {reached} after {since_s:.1f} s, with this topology")
+    say(f"predicted: 1 % is reached {reached} after {since_s:.1f} s ({ASSUMPTION})")
     if is_run:
         _say_measured(history, last_stretch(history))
 

@@ -12,7 +12,7 @@ from skyherd.analysis.history import History
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, unit_color
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
 from skyherd.plots.style import frame_square, legend_above, new_figure, unit_handles
-from skyherd.render import CameraPose, footprint_m
+from skyherd.render import footprint_m
 
 MAX_LABELS = 60
 """Maximum number of robots with labelled ids in a figure. Chosen: more labels overlap."""
@@ -194,17 +194,8 @@ def _start_and_end(color: str) -> list[Line2D]:
 
 def _footprint_m(history: History, unit: int) -> Array:
     """Return the ground points (4, 2) under the corners of a unit's last image."""
-    model = history.mission.scenario.units[unit]
-    x_m, y_m = history.unit_positions_m[-1, unit]
-    tilt_u_rad, tilt_v_rad = history.tilts_rad[-1, unit].tolist()
-    pose = CameraPose(
-        position_m=(float(x_m), float(y_m)),
-        height_m=float(history.heights_m[-1, unit]),
-        yaw_rad=float(history.yaws_rad[-1, unit]),
-        tilt_rad=(tilt_u_rad, tilt_v_rad),
-        zoom=float(history.zooms[-1, unit]),
-    )
-    return footprint_m(model.camera.make(), pose)
+    camera = history.mission.scenario.units[unit].camera.make()
+    return footprint_m(camera, history.fleet(-1).pose(unit))
 
 
 def _frame_ground(axes: Axes, history: History, footprints: list[Array]) -> None:

@@ -12,13 +12,14 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from skyherd.analysis.history import History
+from skyherd.analysis.topology_report import NOT_REQUIRED, required_conditions
 from skyherd.analysis.tree_snapshot import TreeSnapshot
 from skyherd.drawing.palette import INK, unit_color
 from skyherd.geometry import Array, BoolArray
 from skyherd.plots.style import legend_above, new_figure
 
-HOLDS, BROKEN = "#d5dae1", INK
-"""Colours of times in which a condition holds, and in which it is violated."""
+HOLDS, BROKEN, SPARED = "#d5dae1", INK, "#eceff3"
+"""Colours of times in which a condition holds, is violated, and does not hold but is not required."""
 
 BAR = 0.76
 """Height of a bar, as a share of its row; the rest is a gap."""
@@ -55,7 +56,9 @@ def draw_topology(history: History) -> Figure:
             axes.axvline(history.times_s[history.ready_row], color=INK, linestyle=(0, (3, 2)), linewidth=1)
     upper.set_xlim(edges_s[0], edges_s[-1])
     colors = {f"unit {unit}": unit_color(unit) for unit in range(history.controlled.shape[1])}
-    colors |= {"holds": HOLDS, "does not hold": BROKEN}
+    colors |= {"holds": HOLDS, "violated": BROKEN}
+    if required_conditions(history.mission) < 5:
+        colors[f"does not hold: {NOT_REQUIRED}"] = SPARED
     handles: list[Artist] = [Patch(color=color, label=label) for label, color in colors.items()]
     if members.any():
         handles.append(Line2D([], [], color=INK, linestyle=(0, (3, 2)), linewidth=1, label="tree complete"))
@@ -104,10 +107,11 @@ def _draw_control(axes: Axes, history: History, edges_s: Array) -> None:
 
 
 def _draw_conditions(axes: Axes, history: History, edges_s: Array) -> None:
+    required = required_conditions(history.mission)
     for row, holds in enumerate(history.conditions.T):
         for start, end in runs(holds[:, None]):
             bar = _rectangle(left=edges_s[start], right=edges_s[end], bottom=row - BAR / 2, height=BAR)
-            color = HOLDS if holds[start] else BROKEN
+            color = HOLDS if holds[start] else BROKEN if row < required else SPARED
             axes.add_collection(PolyCollection([bar], facecolor=color, linewidth=0))
     axes.set_yticks(range(5), labels=[f"TC{row + 1}" for row in range(5)])
     _finish_rows(axes, 5)

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from skyherd.analysis.history import History
-from skyherd.analysis.summary_fields import GROUPS, Field, number_text, value_text
+from skyherd.analysis.summary_fields import GROUPS, Field, value_text
+from skyherd.analysis.topology_report import NOT_REQUIRED, required_conditions
 from skyherd.files.atomic import write_text
 from skyherd.plots.panels import FigureFile
 from skyherd.report.pages import Tile, data_uri, figure_card, render_page
@@ -68,11 +69,11 @@ def write_page(
         title=scenario.name,
         description=scenario.description,
         is_good=summary["complete"] and summary["converged"],
-        status=_status(summary, scenario.duration_s),
+        status=_status(summary),
         video=data_uri(video, "video/mp4") if video.exists() else None,
         tiles=[Tile(value_text(fields[key], summary.get(key)), fields[key].label) for key in TILES],
         figures=[figure_card(figure) for figure in figures],
-        tables=_tables(summary),
+        tables=_tables(summary, required_conditions(history.mission)),
         positions=[
             {"robot": robot, "x_m": x_m, "y_m": y_m}
             for robot, (x_m, y_m) in (positions_m if isinstance(positions_m, Mapping) else {}).items()
@@ -83,28 +84,34 @@ def write_page(
     return write_text(folder / PAGE, page)
 
 
-def _status(summary: Mapping[str, object], planned_s: float) -> str:
-    """Return the sentence at the top of the page on the outcome of the run."""
-    formed = "the shape was formed and held" if summary["converged"] else "the shape was not formed and held"
+def _status(summary: Mapping[str, object]) -> str:
+    """Return the sentence at the top of the page: defects of the recording, if any, and the verdict."""
     flaws = str(summary.get("recording", ""))
     if flaws and not flaws.startswith("cut short"):
-        return f"The recording is not intact ({flaws}). In its readable part, {formed}."
-    if not summary["complete"]:
-        lasted = value_text(Field("simulated_s", "", "s"), summary["simulated_s"])
-        return f"Cut short after {lasted} of {number_text(planned_s)} s; until then, {formed}."
-    reason = f" Cause: {summary['verdict']}." if summary.get("verdict") else ""
-    return f"{'Converged' if summary['converged'] else 'Not converged'}: {formed} to the end.{reason}"
+        return f"The recording is not intact ({flaws}). {summary['verdict']}"
+    return str(summary["verdict"])
 
 
-def _tables(summary: Mapping[str, object]) -> list[SummaryTable]:
-    """Return a table for each group of fields with values, and one for keys without a group."""
+def _meaning(field: Field, required: int) -> str:
+    """Return a field's explanation; that of a condition above TC`required` says that it is not required."""
+    spared = [f"tc{number}_violation_s" for number in range(required + 1, 6)]
+    return f"{field.meaning} {NOT_REQUIRED.capitalize()}." if field.key in spared else field.meaning
+
+
+def _tables(summary: Mapping[str, object], required: int) -> list[SummaryTable]:
+    """Return a table for each group of fields with values, and one for keys without a group.
+
+    Args:
+        summary: the run's summary.
+        required: number of conditions TC1, TC2, … that the mission requires.
+    """
     known = {field.key for group in GROUPS.values() for field in group} | {"final_positions_m"}
     groups = {**GROUPS, "Other": tuple(Field(key, key) for key in summary if key not in known)}
     tables = [
         SummaryTable(
             name,
             [
-                SummaryRow(field.label, value_text(field, summary[field.key]), field.meaning)
+                SummaryRow(field.label, value_text(field, summary[field.key]), _meaning(field, required))
                 for field in fields
                 if field.key in summary
             ],

@@ -15,9 +15,8 @@ from PIL import Image
 
 from skyherd.analysis.history import History
 from skyherd.drawing.palette import INK, MUTED, PAPER, TEMPLATE_COLOR, WARNING, unit_color
-from skyherd.geometry import Array, ComplexArray, to_complex
+from skyherd.geometry import Array, ComplexArray, IntArray, to_complex
 from skyherd.plots.curves import camera_speeds_mps, unwrap
-from skyherd.plots.maps import formation_order
 from skyherd.plots.style import drawing_style, robot_colors, use_log_scale
 
 DPI = 90
@@ -154,6 +153,15 @@ def draw_template(axes: Axes, history: History) -> None:
     draw_outline(axes, history.shape.points_of(history.ids), history, TEMPLATE_COLOR)
     axes.set(aspect="equal", title="template", xlabel="u (template units)")
     axes.invert_yaxis()
+
+
+def formation_order(points: ComplexArray) -> IntArray:
+    """Return the order (N,) that joins points (N,) into a closed outline, by angle about their mean.
+
+    No two sides of the outline cross: the mean lies among the points, so that neighbours in this order are
+    less than half a turn apart.
+    """
+    return np.argsort(np.angle(points - points.mean()), kind="stable")
 
 
 def draw_outline(

@@ -1,6 +1,7 @@
 """A run from start to finish: loop, recording, video, figures, summary and page.
 
-The output folder receives `run.mcap`, `video.mp4`, `figures/`, `summary.json` and `report.html`.
+The output folder receives `run.mcap`, `video.mp4`, `video-phone.mp4`, `figures/`, `summary.json` and
+`report.html`.
 
 The run writes its messages to MCAP as it proceeds. Figures, summary and page are always made from the
 recording, so that `skyherd report` is the same code as the end of `skyherd run`. A killed run still has a
@@ -11,12 +12,13 @@ import json
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from skyherd.analysis.history import make_history
+from skyherd.analysis.history import History, make_history
 from skyherd.analysis.summary import summarize
 from skyherd.datasets import Mission
 from skyherd.errors import InputError, OutputError, SkyherdError
@@ -31,7 +33,7 @@ from skyherd.plots.panels import write_figures
 from skyherd.recording.reader import Recording, read_recording, read_steps
 from skyherd.recording.survey import describe_flaws
 from skyherd.recording.writer import McapRecorder, Recorder
-from skyherd.report.run_page import PAGE, VIDEO, write_page
+from skyherd.report.run_page import PAGE, PHONE_VIDEO, VIDEO, write_page
 from skyherd.sim.perception import make_run_perception
 from skyherd.sim.side_by_side import SideBySide
 from skyherd.video.recorder import VideoRecorder
@@ -53,7 +55,7 @@ it could fill the disk, twice as much would refuse sufficient disks."""
 def output_names() -> list[str]:
     """Return the names of all files of a run, relative to its folder."""
     figures = [f"{FIGURES}/{panel.name}{kind}" for panel in panels.PANELS for kind in (".png", ".svg")]
-    return [RECORDING, VIDEO, SUMMARY, PAGE, *figures]
+    return [RECORDING, VIDEO, PHONE_VIDEO, SUMMARY, PAGE, *figures]
 
 
 def _check_free_space(folder: Path) -> None:
@@ -115,20 +117,27 @@ def run_mission(
     _check_free_space(folder)
     with output:
         try:
-            recording = McapRecorder(folder / RECORDING, mission, images=record_images)
-            with ExitStack() as stack:
-                stack.enter_context(recording)
-                films = [VideoRecorder(mission, folder / VIDEO, beside=jobs > 1)] if video else []
-                entered: list[Recorder] = [recording, *map(stack.enter_context, (*films, *recorders))]
-                stack.enter_context(perception)
-                for step in chain([first], steps):
-                    for recorder in entered:
-                        recorder.write(step)
-                    output.keep()
-                    on_step(step)
-                    _report_step(progress, mission, step)
-                recording.finish(step.time_s, perf_counter() - started_s)
-            return _write_report(folder, read_recording(folder / RECORDING), jobs)
+            with ExitStack() as films:
+                film = None
+                if video:
+                    film = films.enter_context(VideoRecorder(mission, folder / VIDEO, beside=jobs > 1))
+                recording = McapRecorder(folder / RECORDING, mission, images=record_images)
+                with ExitStack() as stack:
+                    stack.enter_context(recording)
+                    entered: list[Recorder] = [recording, *([film] if film else [])]
+                    entered += map(stack.enter_context, recorders)
+                    stack.enter_context(perception)
+                    for step in chain([first], steps):
+                        for recorder in entered:
+                            recorder.write(step)
+                        output.keep()
+                        on_step(step)
+                        _report_step(progress, mission, step)
+                    recording.finish(step.time_s, perf_counter() - started_s)
+                recorded = _Recorded.read(folder)
+                if film:
+                    film.conclude(recorded.summary["verdict"], is_good=recorded.summary["converged"])
+            return _write_report(folder, recorded, jobs)
         except InputError:
             output.discard()
             raise
@@ -165,24 +174,41 @@ def make_report(folder: Path, *, film: bool = True, jobs: int = 1) -> dict[str, 
         InputError: the folder holds no readable recording, or a foreign file that the report would replace.
         OutputError: a file could not be written.
     """
-    recording = read_recording(folder / RECORDING)
-    names = [name for name in output_names() if name not in (RECORDING, VIDEO)]
-    filmed = film and recording.has_images
-    output = OutputFolder(folder, VERB, [*names, *([VIDEO] if filmed else [])], resume=True, elsewhere=None)
+    recorded = _Recorded.read(folder)
+    names = [name for name in output_names() if name not in (RECORDING, VIDEO, PHONE_VIDEO)]
+    filmed = film and recorded.recording.has_images
+    films = [VIDEO, PHONE_VIDEO] if filmed else []
+    output = OutputFolder(folder, VERB, [*names, *films], resume=True, elsewhere=None)
     with output:
         if filmed:
-            with VideoRecorder(recording.mission, folder / VIDEO, beside=jobs > 1) as recorder:
+            with VideoRecorder(recorded.recording.mission, folder / VIDEO, beside=jobs > 1) as recorder:
                 for step in read_steps(folder / RECORDING):
                     recorder.write(step)
-        return _write_report(folder, recording, jobs)
+                recorder.conclude(recorded.summary["verdict"], is_good=recorded.summary["converged"])
+        return _write_report(folder, recorded, jobs)
 
 
-def _write_report(folder: Path, recording: Recording, jobs: int) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Recorded:
+    """A folder's recording with its history and summary."""
+
+    recording: Recording
+    history: History
+    summary: dict[str, Any]
+
+    @classmethod
+    def read(cls, folder: Path) -> "_Recorded":
+        recording = read_recording(folder / RECORDING)
+        history = make_history(recording.mission, recording.steps)
+        summary = summarize(history, recording.wall_s)
+        if recording.flaws:
+            summary["recording"] = describe_flaws(recording.flaws)
+        return cls(recording, history, summary)
+
+
+def _write_report(folder: Path, recorded: _Recorded, jobs: int) -> dict[str, Any]:
     """Write figures, summary and page of a recording into its folder, and return the summary."""
-    history = make_history(recording.mission, recording.steps)
-    summary = summarize(history, recording.wall_s)
-    if recording.flaws:
-        summary["recording"] = describe_flaws(recording.flaws)
+    recording, history, summary = recorded.recording, recorded.history, recorded.summary
     (folder / FIGURES).mkdir(exist_ok=True)
     figures = write_figures(history, folder / FIGURES, jobs=jobs)
     write_text(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")

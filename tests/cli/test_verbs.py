@@ -71,7 +71,7 @@ def test_run_writes_all_documented_files(tmp_path, capsys, monkeypatch, figures)
     assert code == 1  # One second is too short to reach the shape.
     assert "Shape not reached, error" in said
     assert {entry.name for entry in out.iterdir()} == {
-        ".skyherd.json", "run.mcap", "video.mp4", "figures", "summary.json", "report.html",
+        ".skyherd.json", "run.mcap", "video.mp4", "video-phone.mp4", "figures", "summary.json", "report.html",
     }  # fmt: skip
     assert len(list((out / "figures").iterdir())) == 2 * figures
     assert (out / "report.html").read_text().count("<img") == figures

@@ -9,7 +9,8 @@ from skyherd.datasets import load_mission
 from skyherd.loop import Step, run_steps
 from skyherd.sim.physics import make_world
 from skyherd.video.camera_panel import BORDER_PX, TITLE_PX, brightened
-from skyherd.video.composer import Composer, make_layout
+from skyherd.video.composer import Composer
+from skyherd.video.layout import make_layout
 from skyherd.video.rectified_panel import RectifiedPanel
 
 QUICK = ["perception=noisy", "duration_s=16.0", "control.k=0.6", "control.k_omega=2.4"]

@@ -13,14 +13,14 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from skyherd.analysis.history import History, ImageTrace, make_history
-from skyherd.datasets import load_mission, shape_points
-from skyherd.drawing.palette import unit_color
+from skyherd.datasets import load_mission
+from skyherd.drawing.palette import TEMPLATE_COLOR, unit_color
 from skyherd.errors import OutputError
 from skyherd.geometry import to_complex
 from skyherd.loop import run_steps
 from skyherd.plots import curves, maps, panels
 from skyherd.plots.panels import PANELS, FigureFile, Panel, write_figures
-from skyherd.plots.style import DPI, drawing_style
+from skyherd.plots.style import DPI, drawing_style, use_log_scale
 from skyherd.plots.topology import BAR, draw_topology, runs
 
 
@@ -185,10 +185,11 @@ def test_paths_and_traces_match_history(history: History, draw: Any) -> None:
     for robot, line in enumerate(on_ground[: history.ids.size]):
         np.testing.assert_array_equal(line.get_xydata(), history.positions_m[:, robot])
     in_images = draw(maps.draw_image_traces, history).axes
-    for axes, trace in zip(in_images, history.traces, strict=True):
+    for unit, (axes, trace) in enumerate(zip(in_images, history.traces, strict=True)):
         lines = axes.lines[: history.ids.size]
-        points = np.array([to_complex(line.get_xydata()) for line in lines])
-        np.testing.assert_array_equal(points.T, trace.points_px)
+        points = np.array([to_complex(line.get_xydata()) for line in lines]).T
+        np.testing.assert_allclose(points[-1], trace.points_px[-1], atol=1e-9)
+        assert not np.isfinite(points[~history.controlled[:, unit]]).any()
         assert axes.yaxis_inverted()
 
 
@@ -238,28 +239,42 @@ def test_unwrap_skips_unknown_angles() -> None:
     np.testing.assert_allclose(curves.unwrap(angles_rad), [3.0, np.nan, 2 * np.pi - 3.0, 2 * np.pi - 2.9])
 
 
-@pytest.mark.parametrize("count", [6, 16, 30])
-def test_star_outline_joins_tip_to_notch(count: int) -> None:
-    points = to_complex(np.random.default_rng(count).permutation(shape_points("star", count)))
-    radii = np.abs(points[maps.formation_order(points)])
-    assert ((radii > 0.9) != (np.roll(radii, 1) > 0.9)).all()
+def test_letters_have_strokes_of_their_own(draw: Any) -> None:
+    """A line between two letters would be longer than the widest stroke, of one letter height."""
+    words = short_run("letters", 0.2)
+    strokes = len(words.mission.outline_at(0.0))
+    for panel, scale in ((maps.draw_template, 1.0), (maps.draw_paths, words.shape_scale[-1])):
+        lines = [line for line in draw(panel, words).axes[0].lines if line.get_color() == TEMPLATE_COLOR]
+        drawn = [to_complex(line.get_xydata()) for line in lines if line.get_marker() != "o"]
+        assert len(drawn) == strokes
+        assert max(np.abs(np.diff(line)).max() for line in drawn) < 1.01 * scale
 
 
-@pytest.mark.smoke
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 11])
-def test_outline_visits_each_point_and_never_crosses(count: int) -> None:
-    points = to_complex(np.random.default_rng(count).normal(size=(count, 2)))
-    order = maps.formation_order(points)
-    assert sorted(order) == list(range(count))
-    ends = list(zip(points[order], points[np.roll(order, -1)], strict=True))
+def test_still_robot_has_no_trace_under_a_moving_camera(history: History) -> None:
+    """The camera turns and climbs; the trace of a robot at rest is one point."""
+    still = np.broadcast_to(history.positions_m[-1], history.positions_m.shape)
+    assert np.ptp(history.heights_m[:, 0]) > 0.01
+    points = maps.still_traces(replace(history, positions_m=still), 0)
+    spread = np.nanmax(np.abs(points - points[-1]), axis=0, initial=0.0)
+    assert np.isfinite(points[-1]).any() and np.nanmax(spread) < 1e-9
 
-    def apart(a: complex, b: complex, c: complex, d: complex) -> bool:
-        """Return whether c and d lie on one side of the line from a to b, or touch it."""
-        return bool(((b - a).conjugate() * (c - a)).imag * ((b - a).conjugate() * (d - a)).imag > -1e-9)
 
-    for index, (a, b) in enumerate(ends):
-        for c, d in ends[:index]:
-            assert apart(a, b, c, d) or apart(c, d, a, b)
+@pytest.mark.parametrize(("low", "high"), [(0.3, 0.8), (1.5, 8.0), (0.15, 2.5), (1e-5, 300.0)])
+def test_log_axis_has_two_labelled_ticks_or_more(low: float, high: float, draw: Any) -> None:
+    def panel(_: History) -> Figure:
+        figure = Figure()
+        axes = figure.subplots()
+        axes.plot([0, 1], [low, high])
+        use_log_scale(axes)
+        return figure
+
+    figure = draw(panel, None)
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    bottom, top = axes.get_ylim()
+    texts = zip(axes.yaxis.get_majorticklocs(), axes.yaxis.get_majorticklabels(), strict=True)
+    shown = [text.get_text() for at, text in texts if bottom <= at <= top and text.get_text()]
+    assert 2 <= len(shown) <= 8
 
 
 def test_unwritable_file_is_named(history: History, tmp_path: Path) -> None:

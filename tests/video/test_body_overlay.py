@@ -13,9 +13,10 @@ from skyherd.loop import Step, run_steps
 from skyherd.plots.maps import draw_paths
 from skyherd.video.body_overlay import BodySizes, overlapping_ids
 from skyherd.video.camera_panel import CameraPanel
-from skyherd.video.composer import Composer, make_layout
+from skyherd.video.composer import Composer
 from skyherd.video.ground_panel import EXCHANGE_S, GroundPanel
-from skyherd.video.legend import legend_height_px
+from skyherd.video.layout import make_layout
+from skyherd.video.legend import BODY_ITEMS, ITEMS, TREE_ITEMS, legend_height_px
 
 OBSTACLE = {"id": 40, "position_m": [0.4, 0.2], "radius_sides": 1.5}
 
@@ -126,7 +127,7 @@ def test_exchanged_role_is_shown_for_a_while(run) -> None:
 def test_header_shows_least_gap(run) -> None:
     mission, steps = run
     composer = Composer(mission)
-    assert not pixels_of(composer.compose(steps[0])[:650, 700:], WARNING).size
+    assert not pixels_of(composer.compose(steps[0])[80:650, 700:], WARNING).size
     label, value, _ = composer._nearest(side_by_side(mission, steps[1], 1, 4))
     assert label == "least gap"
     assert value == f"−{1.5 * mission.bodies.radius_m:.2f} m"
@@ -135,8 +136,9 @@ def test_header_shows_least_gap(run) -> None:
 @pytest.mark.parametrize("tree", [False, True])
 @pytest.mark.parametrize("units", range(1, 17))
 def test_longer_legend_fits(units: int, tree: bool) -> None:
-    layout = make_layout((1600, 1000), [(800, 800)] * units, tree=tree, bodies=True)
-    assert legend_height_px(layout.key.width, tree=tree, bodies=True) <= layout.key.height
+    items = ITEMS + (TREE_ITEMS if tree else ()) + BODY_ITEMS
+    layout = make_layout((1600, 1000), [(800, 800)] * units, items)
+    assert legend_height_px(layout.key.width, items) <= layout.key.height
     covered = np.zeros((1000, 1600), dtype=int)
     for box in [*layout.cameras, layout.key, layout.ground, *layout.plots]:
         box.of(covered)[:] += 1

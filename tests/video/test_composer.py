@@ -1,7 +1,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import av
@@ -11,6 +11,7 @@ import pytest
 
 from skyherd.analysis.goal_points import desired_points_px
 from skyherd.datasets import Mission, load_mission
+from skyherd.drawing.canvas import text_width, wrap_text
 from skyherd.drawing.palette import TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.errors import OutputError
 from skyherd.files.video_writer import VideoSink, count_frames, read_frames
@@ -18,7 +19,9 @@ from skyherd.geometry import to_complex
 from skyherd.loop import Step, run_steps
 from skyherd.video.axis_ticks import LinearRange, LogRange, tick_values
 from skyherd.video.camera_panel import CameraPanel, brightened
-from skyherd.video.composer import Composer, make_layout
+from skyherd.video.composer import Composer
+from skyherd.video.layout import make_layout, make_phone_layout
+from skyherd.video.legend import ITEMS, legend_items
 
 SIZE_PX = (64, 48)
 COLORS = [(200, 30, 40), (20, 180, 60), (10, 40, 220), (255, 255, 255), (0, 0, 0), *map(unit_rgb, range(7))]
@@ -257,14 +260,82 @@ def test_unit_without_frame_keeps_last_image() -> None:
 def test_layout_has_no_overlap(units: int, image_px: tuple[int, int]) -> None:
     layout = make_layout((1600, 1000), [image_px] * units)
     covered = np.zeros((1000, 1600), dtype=int)
-    boxes = [*layout.cameras, layout.key, layout.ground, *layout.plots]
+    boxes = [layout.header, layout.caption, *layout.cameras, layout.key, layout.ground, *layout.plots]
     for box in boxes:
-        assert box.left >= 0 and box.top >= 46
+        assert box.left >= 0 and box.top >= 0
         assert box.left + box.width <= 1600 and box.top + box.height <= 1000
         covered[box.top : box.top + box.height, box.left : box.left + box.width] += 1
     assert covered.max() == 1
     assert layout.ground.width >= 400
     assert min(box.width for box in layout.cameras) >= 64
+
+
+@pytest.mark.parametrize("units", [1, 2, 3, 4, 7, 12, 40])
+@pytest.mark.parametrize("rectified", [False, True])
+@pytest.mark.parametrize("phone", [False, True])
+def test_pairs_and_phone_parts_do_not_overlap(units: int, rectified: bool, phone: bool) -> None:
+    sizes = [(800, 600)] * units
+    layout = (
+        make_phone_layout(sizes, rectified=rectified)
+        if phone
+        else make_layout((1600, 1000), sizes, rectified=rectified)
+    )
+    width, height = layout.size_px
+    covered = np.zeros((height, width), dtype=int)
+    panels = [*layout.cameras, *layout.rectified, layout.key, layout.ground, *layout.plots]
+    for box in (layout.header, layout.caption, *panels):
+        assert box.left >= 0 and box.top >= 0
+        assert box.left + box.width <= width and box.top + box.height <= height
+        box.of(covered)[:] += 1
+    assert covered.max() == 1
+    assert len(layout.cameras) == units
+    assert len(layout.rectified) == (units if rectified and units <= 7 else 0) or units == 12
+    assert height % 2 == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "absent", "present"),
+    [
+        ("triangle", "shared with another unit", "desired shape"),
+        ("star", "obstacle", "shared with another unit"),
+        ("tree", "dead unit", "edge: shared pair and turn"),
+        ("failure", "obstacle", "dead unit"),
+        ("obstacles", "dead unit", "obstacle"),
+        ("crowd", "obstacle", "place just exchanged"),
+    ],
+)
+def test_legend_has_what_can_occur(name: str, absent: str, present: str) -> None:
+    texts = [text for _, text in legend_items(load_mission(name))]
+    assert present in texts and absent not in texts
+    assert len(texts) == len(set(texts))
+
+
+@pytest.mark.parametrize("phone", [False, True])
+def test_last_picture_has_the_verdict_and_the_shape(phone: bool) -> None:
+    """Only the caption changes, and a long verdict stays inside of it."""
+    mission, steps = steps_of("triangle", "ideal", 4)
+    composer = Composer(mission, phone=phone)
+    before = composer.compose(steps[-1]).copy()
+    box = (make_phone_layout if phone else partial(make_layout, (1600, 1000)))([(800, 800)], ITEMS).caption
+    after = composer.conclude("The robots did not form the shape, since " + 30 * "reason ", is_good=False)
+    rows, columns = (before != after).any(axis=2).nonzero()
+    assert rows.size > 300
+    assert box.top <= rows.min() and rows.max() < box.top + box.height
+    assert box.left <= columns.min() and columns.max() < box.left + box.width
+
+
+def test_header_names_speed_of_a_fast_video() -> None:
+    """The same step at the speed of the run lacks the words, so that the headers differ."""
+    mission, steps = steps_of("triangle", "ideal", 1)
+    slow = load_mission("triangle", ["perception=ideal", "video.speed=1"])
+    headers = [Composer(m).compose(steps[0])[:40, 150:420].copy() for m in (mission, slow)]
+    inked = [int((header < 200).all(axis=2).sum()) for header in headers]
+    assert inked[0] > inked[1] + 100
+
+
+def test_wrapped_text_keeps_number_and_sign_together() -> None:
+    lines = wrap_text("an error of 12 % of it", text_width("an error of 12", 13) + 1, 13)
+    assert lines == ["an error of", "12\N{NO-BREAK SPACE}% of it"]
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 100.0), (-3.7, 9.1), (0.71, 1.07), (2e-5, 9e-5)])

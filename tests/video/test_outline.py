@@ -6,7 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from skyherd.analysis.goal_points import desired_points_px, outline_px
+from skyherd.analysis.goal_points import (
+    desired_points_px,
+    outline_px,
+    rectified_goals_px,
+    rectified_outline_px,
+)
 from skyherd.datasets import load_mission, make_mission, scenario_names
 from skyherd.datasets.shapes.shapes import SHAPES, shape_outline, shape_points
 from skyherd.drawing.palette import TEMPLATE_COLOR, rgb
@@ -15,6 +20,7 @@ from skyherd.geometry import to_complex
 from skyherd.loop import run_steps
 from skyherd.video.ground_panel import MARGIN, GroundPanel
 from skyherd.video.recorder import _Ending
+from skyherd.video.rectified_panel import RectifiedPanel
 
 ROUNDING = 1e-3
 """Distance of a robot from its line, template units: a circle drawn as a polygon is off by 3.4e-4."""
@@ -65,6 +71,24 @@ def test_camera_lines_meet_desired_points(star) -> None:
     desired = dict(zip(frame.decision.goals.ids.tolist(), desired_points_px(frame.decision), strict=True))
     offsets = [np.linalg.norm(line[order.index(robot)] - point) for robot, point in desired.items()]
     assert len(offsets) >= 5 and max(offsets) < 1e-6
+
+
+def test_rectified_panel_shows_the_lines() -> None:
+    """The handheld camera's image has bent lines; the rectified one has those of the template."""
+    mission = load_mission("handheld", ["perception=ideal", "duration_s=1"])
+    (*_, step) = run_steps(mission)
+    frame, shape = step.frames[0], mission.shape_at(1.0, step.roles)
+    lines = rectified_outline_px(frame.decision, shape, mission.outline_at(1.0))
+    (order,) = mission.scenario.template.outline
+    wanted = dict(zip(frame.decision.goals.ids.tolist(), rectified_goals_px(frame.decision), strict=True))
+    offsets = [np.linalg.norm(lines[0][order.index(robot)] - point) for robot, point in wanted.items()]
+    assert len(offsets) >= 5 and max(offsets) < 1e-6
+    cells = np.zeros((2, 400, 500, 3), np.uint8)
+    panel = RectifiedPanel(0, cells[0], (800, 600))
+    panel.draw(frame, lines)
+    RectifiedPanel(0, cells[1], (800, 600)).draw(frame)
+    purple = (np.abs(cells.astype(int) - rgb(TEMPLATE_COLOR)).max(axis=3) < 60).sum(axis=(1, 2))
+    assert purple[0] > purple[1] + 200
 
 
 def test_view_without_goals_has_no_lines(star) -> None:

@@ -5,16 +5,17 @@ import os
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from skyherd.datasets import load_mission
 from skyherd.errors import OutputError
-from skyherd.files.video_writer import VideoSink, count_frames
+from skyherd.files.video_writer import VideoSink, count_frames, read_frames, read_last_frame
 from skyherd.jobs.helpers import can_help
 from skyherd.loop import run_steps
 from skyherd.video import recorder
 from skyherd.video.composer import Composer
-from skyherd.video.recorder import VideoRecorder
+from skyherd.video.recorder import END_S, FPS, VideoRecorder, phone_path
 
 pytestmark = pytest.mark.skipif(not can_help(), reason="processes are forked on Linux only")
 
@@ -48,7 +49,23 @@ def test_parallel_process_encodes_same_frames(steps, tmp_path, monkeypatch):
     frames = [(tmp_path / f"{film.stem}.txt").read_text().split() for film in (here, there)]
     assert frames[0] == frames[1] and len(set(frames[0])) == 7  # every second of 13 steps
     assert count_frames(here) == count_frames(there) == 7
-    assert len(list(tmp_path.glob("*.mp4"))) == len(list(tmp_path.iterdir())) - 2 == 2
+    assert len(list(tmp_path.glob("*.mp4"))) == len(list(tmp_path.glob("*.txt"))) == 4
+    assert len(list(tmp_path.iterdir())) == 8
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_video_ends_with_the_verdict(steps, tmp_path, beside):
+    """The last `END_S` show the verdict, and the poster is the last frame."""
+    path = tmp_path / "video.mp4"
+    with VideoRecorder(steps[0], path, beside=beside) as writer:
+        for step in steps[1]:
+            writer.write(step)
+        writer.conclude("Shape not reached.", is_good=False)
+    for place in (path, phone_path(path)):
+        frames = list(read_frames(place))
+        assert len(frames) == 7 + END_S * FPS
+        assert np.abs(frames[6].astype(int) - frames[-1]).max() > 100
+        np.testing.assert_array_equal(read_last_frame(place), frames[-1])
 
 
 @pytest.mark.parametrize("beside", [False, True])
@@ -75,7 +92,7 @@ def test_interrupt_leaves_nothing(steps, tmp_path):
         VideoRecorder(steps[0], tmp_path / "video.mp4", beside=True) as writer,
     ):
         writer.write(steps[1][0])
-        assert len(list(tmp_path.iterdir())) == 2
+        assert len(list(tmp_path.iterdir())) == 3
         raise KeyboardInterrupt
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"an older one"]
 

@@ -11,9 +11,10 @@ from skyherd.drawing.palette import unit_rgb
 from skyherd.loop import dead_units
 from skyherd.messages import NO_ID
 from skyherd.messages.tree_status import TreeStatus
-from skyherd.video.composer import Composer, make_layout
+from skyherd.video.composer import Composer
 from skyherd.video.ground_title import STATE_SIZE_PX, TITLE_SIZE_PX, title_texts
-from skyherd.video.legend import legend_height_px
+from skyherd.video.layout import make_layout
+from skyherd.video.legend import ITEMS, TREE_ITEMS, legend_height_px, legend_items
 from skyherd.video.tree_overlay import FLASH, FLASH_S, TreeOverlay
 
 NONE = np.zeros(0, dtype=np.int64)
@@ -87,7 +88,7 @@ def test_exchanged_pair_flashes_temporarily() -> None:
 def test_dead_unit_has_no_picture_until_return(ideal_failure) -> None:
     mission, steps = ideal_failure
     composer = Composer(mission)
-    box = make_layout((1600, 1000), [(800, 800)] * 5, tree=True).cameras[0]
+    box = make_layout((1600, 1000), [(800, 800)] * 5, legend_items(mission)).cameras[0]
     colored = {}
     for step in steps:
         if step.time_s in (20.0, 26.0):
@@ -100,8 +101,9 @@ def test_dead_unit_has_no_picture_until_return(ideal_failure) -> None:
 
 @pytest.mark.parametrize("units", range(1, 17))
 def test_tree_legend_fits(units: int) -> None:
-    layout = make_layout((1600, 1000), [(480, 480)] * units, tree=True)
-    assert legend_height_px(layout.key.width, tree=True) <= layout.key.height
+    items = ITEMS + TREE_ITEMS
+    layout = make_layout((1600, 1000), [(480, 480)] * units, items)
+    assert legend_height_px(layout.key.width, items) <= layout.key.height
 
 
 @pytest.mark.parametrize(

@@ -39,8 +39,10 @@ def desired_points_px(decision: Decision) -> Array:
     return decision.ground_map.image_px(desired_px, decision.detections.image_size_px)
 
 
-def outline_px(decision: Decision, template: Template, lines: Sequence[ComplexArray]) -> list[Array]:
-    """Return the lines of a unit's desired shape as polylines (M, 2), px, in the camera's original image.
+def rectified_outline_px(
+    decision: Decision, template: Template, lines: Sequence[ComplexArray]
+) -> list[Array]:
+    """Return the lines of a unit's desired shape as polylines (M, 2), px, in its rectified image.
 
     The similarity from the template to the unit's desired points maps the lines, so that they show the unit's
     knowledge only.
@@ -60,7 +62,12 @@ def outline_px(decision: Decision, template: Template, lines: Sequence[ComplexAr
         fit = fit_similarity(template.points_of(decision.goals.ids), desired)
     except DegenerateSetError:
         return []
-    fitted = [to_points(fit(line)) for line in lines]
+    return [to_points(fit(line)) for line in lines]
+
+
+def outline_px(decision: Decision, template: Template, lines: Sequence[ComplexArray]) -> list[Array]:
+    """Return the lines of `rectified_outline_px` in the camera's original image."""
+    fitted = rectified_outline_px(decision, template, lines)
     if decision.ground_map.ideal:
         return fitted
     return [decision.ground_map.image_px(line, decision.detections.image_size_px) for line in fitted]

@@ -49,9 +49,10 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
         Field("converged", "Converged", "", "The shape error stayed below its goal to the end."),
         Field(
             "reached_s",
-            "Goal reached",
+            "Time to the shape",
             "s",
             "Time since which the shape error stayed below its goal, from the start of the run.",
+            absent="not reached",
         ),
         Field("verdict", "Verdict", "", "What happened and, if the shape was not reached, why."),
         Field("complete", "Complete", "", "The run reached its planned end, and its recording is intact."),
@@ -60,6 +61,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "Shape error",
             "",
             "RMS distance to the best-fitting copy of the shape, over the formation's RMS radius.",
+            "share",
         ),
         Field(
             "goal_error_m",

@@ -162,6 +162,21 @@ def text_width(text: str, size_px: int = 13, *, bold: bool = False) -> float:
     return float(_font(size_px, bold).getlength(text))
 
 
+def wrap_text(text: str, width_px: float, size_px: int = 13, *, bold: bool = False) -> list[str]:
+    """Break a text at its spaces into lines of at most `width_px`, px; a longer word has its own line.
+
+    A number and its per cent sign stay together.
+    """
+    lines: list[str] = []
+    for word in text.replace(" %", "\N{NO-BREAK SPACE}%").split(" "):
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and text_width(longer, size_px, bold=bold) <= width_px:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return lines
+
+
 @dataclass(frozen=True)
 class _Sprite:
     """A text ready for blending, `(image * keep + add) / 256`, and its anchor."""

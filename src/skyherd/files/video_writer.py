@@ -227,3 +227,21 @@ def read_frames(path: str | os.PathLike[str]) -> Iterator[RgbImage]:
                 yield np.asarray(frame.to_ndarray(format="rgb24"), dtype=np.uint8)
     except (OSError, av.FFmpegError, IndexError) as error:
         raise OutputError(f"{path}: cannot be read as a video: {error}") from None
+
+
+def read_last_frame(path: str | os.PathLike[str]) -> RgbImage:
+    """Read the last frame of a video file: (height, width, 3) uint8 RGB.
+
+    Only the frames from the last key frame on are decoded.
+
+    Raises:
+        OutputError: the file is not a video that can be read.
+    """
+    try:
+        with av.open(str(path)) as container:
+            stream = container.streams.video[0]
+            container.seek(stream.duration or 0, stream=stream)
+            *_, last = container.decode(stream)
+            return np.asarray(last.to_ndarray(format="rgb24"), dtype=np.uint8)
+    except (OSError, av.FFmpegError, IndexError, ValueError) as error:
+        raise OutputError(f"{path}: cannot be read as a video: {error}") from None

@@ -109,12 +109,12 @@ def draw_camera_speeds(history: History) -> Figure:
 
 
 def draw_shape_error(history: History) -> Figure:
-    """Draw the shape error, as a share of the formation's RMS radius, and the goal's threshold."""
+    """Draw the shape error, per cent of the formation's RMS radius, and the goal's threshold."""
     figure = new_figure(ONE_ROW_IN)
-    (axes,) = time_axes(figure, ["shape error, log"])
-    goal = history.mission.scenario.goal.shape_error
-    axes.axhline(goal, color=MUTED, linestyle="--", linewidth=1.2, label=f"goal {goal:g}")
-    draw_line(axes, history.times_s, history.shape_error, color=INK, linewidth=1.8, label="shape error")
+    (axes,) = time_axes(figure, ["shape error (%), log"])
+    goal = 100 * history.mission.scenario.goal.shape_error
+    axes.axhline(goal, color=MUTED, linestyle="--", linewidth=1.2, label=f"goal {goal:g} %")
+    draw_line(axes, history.times_s, 100 * history.shape_error, color=INK, linewidth=1.8, label="shape error")
     use_log_scale(axes)
     legend_above(figure)
     return figure

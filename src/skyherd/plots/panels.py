@@ -62,15 +62,15 @@ PANELS: tuple[Panel[History], ...] = (
     Panel(
         "paths",
         "Paths on the ground",
-        "Robots from their start (small squares) to their end (numbered circles, joined into the shape); "
+        "Robots from their start (squares) to their end (numbered circles), with the lines of the shape; "
         "cameras' paths in colour, seen from above, with the ground that each sees at the end.",
         maps.draw_paths,
     ),
     Panel(
         "shape_error",
         "Shape error",
-        "RMS distance to the best-fitting copy of the shape, at any position, size and rotation, as a share "
-        "of the formation's RMS radius.",
+        "RMS distance to the best-fitting copy of the shape, at any position, size and rotation, over the "
+        "formation's RMS radius.",
         curves.draw_shape_error,
     ),
     Panel(
@@ -108,9 +108,9 @@ PANELS: tuple[Panel[History], ...] = (
     Panel(
         "image_traces",
         "Image traces",
-        "Image paths of the robots that each unit controlled, from the first image (squares) to "
-        "the last (circles). Inside the safety radius a unit takes control of a robot; beyond the leaving "
-        "radius it may release it.",
+        "Paths of the robots that each unit controlled, from the start of its control (squares) to the end "
+        "(circles), as its last image shows the ground. Inside the safety radius a unit takes control of a "
+        "robot; beyond the leaving radius it may release it.",
         maps.draw_image_traces,
     ),
     Panel(

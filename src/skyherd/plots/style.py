@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullLocator
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from skyherd.drawing.palette import INK, MUTED, PAPER, unit_color
 from skyherd.geometry import Array, IntArray
@@ -26,9 +27,9 @@ DPI = 130
 """Resolution of PNG files, pixels per inch. Chosen: text is legible with two figures side by side; file size
 grows with the square."""
 
-FEW_DECADES = 1.0
-"""Number of decades below which a logarithmic axis also has labels between the powers of ten. Without them it
-might show no label at all."""
+FEW_DECADES = 2.0
+"""Number of decades below which a logarithmic axis also has labels at 2 and 5 times the powers of ten. With
+fewer decades, the powers alone might be one label or none."""
 
 MIN_EXTENT = 1e-9
 """Minimum extent of axes around points, in the points' unit, so that a single point has axes."""
@@ -132,11 +133,22 @@ def use_log_scale(axes: Axes) -> None:
     if not shown.size:
         return
     axes.set_yscale("log", nonpositive="mask")
-    low, high = shown.min() / 1.5, shown.max() * 1.5
-    axes.set_ylim(low, high)
-    if np.log10(high / low) > FEW_DECADES:
-        axes.yaxis.set_major_locator(LogLocator(numticks=7))
-        axes.yaxis.set_minor_locator(NullLocator())
+    axes.set_ylim(shown.min() / 1.5, shown.max() * 1.5)
+    label_log_axis(axes.yaxis)
+
+
+def label_log_axis(axis: Axis) -> None:
+    """Put labelled ticks on a logarithmic axis, at least two for limits of half a decade, and ticks between.
+
+    The limits of the axis must be set before.
+    """
+    low, high = axis.get_view_interval()
+    few = np.log10(high / low) <= FEW_DECADES
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=16 if few else 7))
+    axis.set_minor_locator(LogLocator(subs=tuple(range(2, 10)), numticks=100))
+    axis.set_minor_formatter(NullFormatter())
+    if few:
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
 
 
 def legend_above(figure: Figure, handles: Sequence[Artist] | None = None, columns: int = 6) -> None:

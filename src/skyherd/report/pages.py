@@ -10,11 +10,13 @@ detector's name can become markup.
 from base64 import b64encode
 from dataclasses import dataclass
 from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
+from skyherd.files.video_writer import read_last_frame
 from skyherd.plots.panels import FigureFile
 
 WIDE_PX = 1000
@@ -26,12 +28,31 @@ TALL_RATIO = 0.85
 ratio, 0.45 to 0.7, with captions are about as high."""
 
 
+POSTER_QUALITY = 80
+"""Quality of a video's poster, per cent of JPEG. Chosen: text of 12 px stays legible."""
+
+
 @dataclass(frozen=True)
 class Tile:
     """A highlighted number on a page: text with unit, and label."""
 
     value: str
     label: str
+
+
+@dataclass(frozen=True)
+class VideoCard:
+    """A video for a page.
+
+    Attributes:
+        shape: CSS class: `wide` or `phone`.
+        source: the video, as a data URI.
+        poster: its last frame, as a data URI.
+    """
+
+    shape: str
+    source: str
+    poster: str
 
 
 @dataclass(frozen=True)
@@ -100,3 +121,11 @@ def figure_card(figure: FigureFile) -> FigureCard:
 def data_uri(path: Path, media_type: str) -> str:
     """Return a file as a data URI, such as `data:image/png;base64,…`, for an image or video `src`."""
     return f"data:{media_type};base64,{b64encode(path.read_bytes()).decode('ascii')}"
+
+
+def video_card(path: Path, shape: str) -> VideoCard:
+    """Return an MP4 file on disk as a page card, with its last frame as the poster."""
+    picture = BytesIO()
+    Image.fromarray(read_last_frame(path)).save(picture, "JPEG", quality=POSTER_QUALITY)
+    poster = f"data:image/jpeg;base64,{b64encode(picture.getvalue()).decode('ascii')}"
+    return VideoCard(shape, data_uri(path, "video/mp4"), poster)

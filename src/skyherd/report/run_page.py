@@ -9,12 +9,15 @@ from skyherd.analysis.summary_fields import GROUPS, Field, value_text
 from skyherd.analysis.topology_report import NOT_REQUIRED, required_conditions
 from skyherd.files.atomic import write_text
 from skyherd.plots.panels import FigureFile
-from skyherd.report.pages import Tile, data_uri, figure_card, render_page
+from skyherd.report.pages import Tile, figure_card, render_page, video_card
 
-PAGE, VIDEO = "report.html", "video.mp4"
-"""Files in a run's folder: the page, and the video that is embedded in it."""
+PAGE, VIDEO, PHONE_VIDEO = "report.html", "video.mp4", "video-phone.mp4"
+"""Files in a run's folder: the page, and the videos that are embedded in it."""
 
-TILES = ("shape_error", "scale", "min_separation_m", "detection_recall", "simulated_s", "real_time_factor")
+PAPER = "https://doi.org/10.1109/TCST.2018.2834308"
+"""Address of the paper whose controller the runs use."""
+
+TILES = ("reached_s", "shape_error", "min_separation_m", "detection_recall", "scale", "simulated_s")
 """Summary keys highlighted at the top of the page, in this order."""
 
 
@@ -43,7 +46,7 @@ def write_page(
     versions: Mapping[str, str],
     scenario_text: str,
 ) -> Path:
-    """Write `report.html` into a run's folder, with the folder's `video.mp4` if there is one.
+    """Write `report.html` into a run's folder, with the folder's videos if there are any.
 
     Args:
         folder: the run's output folder.
@@ -61,7 +64,7 @@ def write_page(
     """
     scenario = history.mission.scenario
     fields = {field.key: field for group in GROUPS.values() for field in group}
-    video = folder / VIDEO
+    videos = (VIDEO, "wide"), (PHONE_VIDEO, "phone")
     positions_m = summary.get("final_positions_m")
     page = render_page(
         "skyherd.report",
@@ -70,7 +73,8 @@ def write_page(
         description=scenario.description,
         is_good=summary["complete"] and summary["converged"],
         status=_status(summary),
-        video=data_uri(video, "video/mp4") if video.exists() else None,
+        videos=[video_card(folder / name, shape) for name, shape in videos if (folder / name).exists()],
+        paper=PAPER,
         tiles=[Tile(value_text(fields[key], summary.get(key)), fields[key].label) for key in TILES],
         figures=[figure_card(figure) for figure in figures],
         tables=_tables(summary, required_conditions(history.mission)),

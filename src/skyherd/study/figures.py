@@ -13,7 +13,7 @@ from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from skyherd.drawing.palette import UNIT_COLORS
 from skyherd.files.atomic import write_text, write_whole
-from skyherd.plots.style import DPI, drawing_style, new_figure, plain
+from skyherd.plots.style import DPI, drawing_style, label_log_axis, new_figure, plain
 from skyherd.study.spec import SUMMARY_FIELDS, FigureModel, Study, StudySpec
 from skyherd.study.store import ERROR
 from skyherd.study.table import SWEEP, Row, good_rows
@@ -71,7 +71,8 @@ def _save(figure: Figure, path: Path) -> Path:
 def draw_figure(model: FigureModel, rows: Sequence[Row], spec: StudySpec) -> Figure | None:
     """Draw a figure of a study: median and range of the runs for each line and x.
 
-    Where x is drawn at random, each run is a separate dot.
+    The title names both where a point has several runs. Where x is drawn at random, each run is a separate
+    dot.
 
     Args:
         model: the figure's definition in the study's file.
@@ -97,11 +98,14 @@ def draw_figure(model: FigureModel, rows: Sequence[Row], spec: StudySpec) -> Fig
         points = [(places[_hashable(row[model.x])], float(row[model.y])) for row in mine]
         style = {"color": UNIT_COLORS[index % len(UNIT_COLORS)], "marker": MARKS[index % len(MARKS)]}
         _draw_points(axes, points, dots=model.x in spec.drawn, label=_text(line), **style)
-    axes.set_title(plain(model.title))
+    runs = Counter((str(row[model.x]), str(row[model.lines]) if model.lines else "") for row in shown)
+    spread = ": median and range" if max(runs.values()) > 1 and model.x not in spec.drawn else ""
+    axes.set_title(plain(f"{model.title}{spread}"))
     axes.set_xlabel(plain(model.x_label or model.x))
     axes.set_ylabel(plain(model.y_label or field_label(model.y)))
     if model.y_log and any(row[model.y] > 0 for row in shown):
         axes.set_yscale("log", nonpositive="mask")
+        label_log_axis(axes.yaxis)
     if model.lines:
         figure.legend(title=plain(model.lines_label or model.lines), loc="outside right upper")
     return figure
@@ -118,7 +122,18 @@ def _draw_points(axes: Axes, points: list[tuple[float, float]], *, dots: bool, *
         middle - [group.min() for group in groups],
         np.array([group.max() for group in groups]) - middle,
     ]
-    axes.errorbar(xs, middle, yerr=reach, capsize=3, elinewidth=0.9, markersize=5, **style)
+    several = any(group.size > 1 for group in groups)
+    line = "-" if len(xs) > 1 else ""
+    axes.errorbar(
+        xs,
+        middle,
+        yerr=reach if several else None,
+        linestyle=line,
+        capsize=3,
+        elinewidth=0.9,
+        markersize=5,
+        **style,
+    )
 
 
 def _places(axes: Axes, values: Sequence[Any], *, log: bool) -> dict[Any, float]:

@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 from skyherd.drawing.palette import INK, MUTED, PAPER
 from skyherd.geometry import Array
 from skyherd.plots.style import (
+    draw_line,
     drawing_style,
     frame_square,
     legend_above,
@@ -39,8 +40,9 @@ GAP_S = 1.0
 def draw_tracks(recordings: Sequence[GroundTracks], errors: Sequence[ShapeErrors]) -> Figure:
     """Draw the tracks of recordings, one panel each, and below them the shape errors, if any.
 
-    A track begins at a small square and ends at a circle with the marker's number. Errors of images with the
-    whole team form a line; errors of fewer robots are pale dots.
+    Tracks are in the frame of the first image (`GroundTracks.steady_paths`). A track begins at a small square
+    and ends at a circle with the marker's number. Errors of images with the whole team form a line; errors of
+    fewer robots are pale dots.
     """
     shown = [tracks for tracks in recordings if tracks.ids.size] or list(recordings[:1])
     columns = min(len(shown), COLUMNS)
@@ -74,8 +76,7 @@ def _draw_recording(
     axes: Axes, tracks: GroundTracks, colors: dict[int, Array], *, titled: bool, labelled: bool
 ) -> None:
     everything = []
-    for marker in tracks.ids.tolist():
-        times_s, path = tracks.path(marker)
+    for marker, (times_s, path) in tracks.steady_paths().items():
         seen = np.flatnonzero(np.isfinite(path[:, 0]))
         pieces = np.split(seen, np.flatnonzero(np.diff(times_s[seen]) > GAP_S) + 1)
         color = colors[marker]
@@ -114,12 +115,11 @@ def _draw_errors(axes: Axes, recordings: Sequence[GroundTracks], errors: Sequenc
         whole = error.counts == error.team
         color = INK if len(recordings) == 1 else str(shade)
         part = np.where(whole, np.nan, error.errors)
-        axes.plot(error.times_s, part, ".", color=MUTED, markersize=2.5, alpha=0.5)
-        line = np.where(whole, error.errors, np.nan)
-        alone = np.isfinite(line).sum() == 1
+        axes.plot(error.times_s, 100 * part, ".", color=MUTED, markersize=2.5, alpha=0.5)
+        line = np.where(whole, 100 * error.errors, np.nan)
         name = tracks.name if len(recordings) > 1 else ""
-        axes.plot(error.times_s, line, color=color, linewidth=1.5, marker="o" if alone else "", label=name)
-    axes.set(xlabel="time (s)", ylabel="shape error, log")
+        draw_line(axes, error.times_s, line, color=color, linewidth=1.5, label=name)
+    axes.set(xlabel="time (s)", ylabel="shape error (%), log")
     axes.margins(x=0)
     use_log_scale(axes)
     if len(recordings) > 1:

@@ -69,6 +69,12 @@ def brightened(image: RgbImage) -> RgbImage:
     return np.asarray(cv2.LUT(image, _CURVE), dtype=np.uint8)
 
 
+def draw_outline(picture: RgbImage, lines: Sequence[Array]) -> None:
+    """Draw lines (M, 2) of the desired shape with a bright rim, px of the picture."""
+    draw_lines(picture, lines, rgb(PAPER), OUTLINE_PX + 2)
+    draw_lines(picture, lines, rgb(TEMPLATE_COLOR), OUTLINE_PX)
+
+
 class CameraPanel:
     """Drawing of one unit's frames into its cell of the canvas: a title, and the image below it.
 
@@ -143,9 +149,7 @@ class CameraPanel:
         color = rgb(MUTED if plain else PAPER)
         draw_lines(self._picture, self._seen_circle(frame), color, 2)
         self._draw_obstacles(seen.select(stones), struck)
-        lines = [self.to_panel(line) for line in outline_px]
-        draw_lines(self._picture, lines, rgb(PAPER), OUTLINE_PX + 2)
-        draw_lines(self._picture, lines, rgb(TEMPLATE_COLOR), OUTLINE_PX)
+        draw_outline(self._picture, [self.to_panel(line) for line in outline_px])
         self._draw_marks(robots, {**sets, self.unit: controlled})
         self._draw_bodies(robots, struck, color)
         self._draw_goals(frame)

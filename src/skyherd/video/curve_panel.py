@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.drawing.canvas import Box, Color, draw_lines, draw_text, text_width
+from skyherd.drawing.canvas import Box, Color, draw_lines, draw_text
 from skyherd.drawing.palette import INK, MUTED, PAPER, rgb
 from skyherd.geometry import Array, RgbImage
 from skyherd.video.axis_ticks import LinearRange, LogRange, tick_values
@@ -22,9 +22,8 @@ GRID: Color = (232, 233, 231)
 
 @dataclass(frozen=True)
 class Curve:
-    """Legend name, colour and width of one curve."""
+    """Colour and width of one curve."""
 
-    name: str
     color: Color
     width_px: int = 2
 
@@ -84,11 +83,10 @@ class CurvePanel:
             draw_lines(self._field, [points[k : k + 2] for k in pairs], curve.color, curve.width_px)
 
     def _draw_axes(self, axis: LinearRange | LogRange) -> None:
-        """Clear the panel and draw title, legend, grid and labels."""
+        """Clear the panel and draw title, grid and labels."""
         height, width = self._field.shape[:2]
         self._panel[:] = rgb(PAPER)
         draw_text(self._panel, self._title, (LEFT_PX, TITLE_PX / 2), rgb(INK), size_px=15)
-        self._draw_legend()
         for value, label in axis.ticks().items():
             v = float(self._to_field(axis, np.zeros(1), np.array([value]))[0, 1])
             draw_lines(self._field, [[[0, v], [width, v]]], GRID)
@@ -102,13 +100,3 @@ class CurvePanel:
         draw_lines(self._field, [[[0, 0], [0, height - 1], [width - 1, height - 1]]], rgb(MUTED))
         at = LEFT_PX + width / 2, TITLE_PX + height + 30
         draw_text(self._panel, "time, s", at, rgb(INK), size_px=13, align="center")
-
-    def _draw_legend(self) -> None:
-        """Draw the names of the curves, flush right in the title's line."""
-        right = float(self._panel.shape[1] - RIGHT_PX)
-        for curve in reversed(self._curves):
-            right -= text_width(curve.name)
-            draw_text(self._panel, curve.name, (right, TITLE_PX / 2), rgb(INK))
-            line = [[right - 25, TITLE_PX / 2], [right - 9, TITLE_PX / 2]]
-            draw_lines(self._panel, [line], curve.color, curve.width_px + 1)
-            right -= 40

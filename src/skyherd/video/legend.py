@@ -1,9 +1,10 @@
 """Legend of the video: symbols and their meanings."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from skyherd.datasets import Mission
 from skyherd.drawing.canvas import (
     circle_dashes,
     dashes,
@@ -32,6 +33,12 @@ TEXT_PX = 12
 
 FIRST, SECOND = unit_rgb(0), unit_rgb(1)
 """Colours of the two example units of the symbols."""
+
+Symbol = Callable[[RgbImage, float, float], None]
+"""Function that draws a symbol around a point (u, v)."""
+
+Item = tuple[Symbol, str]
+"""A symbol and its meaning."""
 
 
 def _mine(image: RgbImage, u: float, v: float) -> None:
@@ -64,23 +71,28 @@ def _shape(image: RgbImage, u: float, v: float) -> None:
     draw_circle(image, (u + 8, v), 5, rgb(TEMPLATE_COLOR), 1)
 
 
+def _outline(image: RgbImage, u: float, v: float) -> None:
+    draw_lines(image, [[[u - 13, v + 5], [u, v - 6], [u + 13, v + 5]]], rgb(TEMPLATE_COLOR), 3)
+
+
 def _unit(image: RgbImage, u: float, v: float) -> None:
     square = [[u - 9, v - 9], [u + 9, v - 9], [u + 9, v + 9], [u - 9, v + 9]]
     draw_lines(image, [square], FIRST, 2, closed=True)
     draw_lines(image, [[[u - 4, v], [u + 4, v]], [[u, v - 4], [u, v + 4]]], FIRST, 2)
 
 
-ITEMS: tuple[tuple[Callable[[RgbImage, float, float], None], str], ...] = (
+ITEMS: tuple[Item, ...] = (
     (_mine, "controlled by this unit"),
     (_shared, "shared with another unit"),
     (_foreign, "seen, not controlled"),
     (_goal, "to the desired point"),
     (_radius, "safety radius"),
     (_robot, "coloured by its units"),
+    (_outline, "desired shape"),
     (_shape, "its point in the shape"),
     (_unit, "unit and its view"),
 )
-"""Symbols of every video: the function that draws one around a point (u, v), and its meaning."""
+"""Symbols of videos of several units with an outline of the shape."""
 
 
 def _edge(image: RgbImage, u: float, v: float) -> None:
@@ -102,13 +114,13 @@ def _dead(image: RgbImage, u: float, v: float) -> None:
     draw_dead(image, (u, v), 6, rgb(MUTED))
 
 
-TREE_ITEMS: tuple[tuple[Callable[[RgbImage, float, float], None], str], ...] = (
+TREE_ITEMS: tuple[Item, ...] = (
     (_edge, "edge: shared pair and turn"),
     (_exchange, "pair just exchanged"),
     (_granted, "edge known to one unit"),
     (_dead, "dead unit"),
 )
-"""Additional symbols with a tree of units."""
+"""Additional symbols with a tree of units, the last one with outages."""
 
 
 def _safety(image: RgbImage, u: float, v: float) -> None:
@@ -129,7 +141,7 @@ def _exchanged(image: RgbImage, u: float, v: float) -> None:
     draw_circle(image, (u + 8, v), 6, rgb(TEMPLATE_COLOR), -1)
 
 
-BODY_ITEMS: tuple[tuple[Callable[[RgbImage, float, float], None], str], ...] = (
+BODY_ITEMS: tuple[Item, ...] = (
     (_safety, "body and safety margin"),
     (_overlap, "bodies that overlap"),
     (_obstacle, "obstacle"),
@@ -138,34 +150,42 @@ BODY_ITEMS: tuple[tuple[Callable[[RgbImage, float, float], None], str], ...] = (
 """Additional symbols where robots have bodies, or may exchange roles."""
 
 
-def _items(*, tree: bool, bodies: bool) -> tuple[tuple[Callable[[RgbImage, float, float], None], str], ...]:
-    return ITEMS + (TREE_ITEMS if tree else ()) + (BODY_ITEMS if bodies else ())
+def legend_items(mission: Mission) -> tuple[Item, ...]:
+    """Return the symbols that can occur in the video of a mission."""
+    scenario = mission.scenario
+    bodies = bool(scenario.robots.body_radius_sides or scenario.obstacles)
+    occurs: dict[Symbol, bool] = {
+        _shared: len(scenario.units) > 1,
+        _outline: any(mission.outlines),
+        _dead: any(unit.outages for unit in scenario.units),
+        _edge: scenario.selection.kind != "radius" and len(scenario.units) > 1,
+        _exchange: scenario.selection.kind != "radius" and len(scenario.units) > 1,
+        _granted: scenario.selection.kind != "radius" and len(scenario.units) > 1,
+        _safety: bodies and scenario.avoidance.on,
+        _overlap: bodies and not scenario.avoidance.on,
+        _obstacle: bool(scenario.obstacles),
+        _exchanged: scenario.roles.exchange,
+    }
+    items = (*ITEMS, *TREE_ITEMS, *BODY_ITEMS)
+    return tuple((draw, text) for draw, text in items if occurs.get(draw, True))
 
 
-def legend_height_px(width_px: int, *, tree: bool = False, bodies: bool = False) -> int:
+def legend_height_px(width_px: int, items: Sequence[Item]) -> int:
     """Return the height of the legend in a panel of this width, px."""
-    _, rows, row_px = _grid(width_px, tree=tree, bodies=bodies)
+    _, rows, row_px = _grid(width_px, items)
     return rows * row_px
 
 
-def _grid(width_px: int, *, tree: bool, bodies: bool) -> tuple[float, int, int]:
+def _grid(width_px: int, items: Sequence[Item]) -> tuple[float, int, int]:
     """Return column width, px, number of rows, and row height, px."""
-    items = _items(tree=tree, bodies=bodies)
     pitch = SYMBOL_PX + max(text_width(text, TEXT_PX) for _, text in items) + 6
     columns = min(len(items), max(1, int(width_px // pitch)))
     return pitch, -(-len(items) // columns), TIGHT_PX if len(items) > MANY else ROW_PX
 
 
-def draw_legend(panel: RgbImage, *, tree: bool = False, bodies: bool = False) -> None:
-    """Draw the legend into a panel, in as many columns as fit.
-
-    Args:
-        panel: the part of the canvas to draw in.
-        tree: include the symbols of the tree of units.
-        bodies: include the symbols of bodies.
-    """
-    items = _items(tree=tree, bodies=bodies)
-    pitch, rows, row_px = _grid(panel.shape[1], tree=tree, bodies=bodies)
+def draw_legend(panel: RgbImage, items: Sequence[Item]) -> None:
+    """Draw the legend into a panel of the canvas, in as many columns as fit."""
+    pitch, rows, row_px = _grid(panel.shape[1], items)
     for k, (draw, text) in enumerate(items):
         u, v = k // rows * pitch + SYMBOL_PX / 2, (k % rows + 0.5) * row_px
         draw(panel, u, v)

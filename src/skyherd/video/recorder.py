@@ -8,6 +8,7 @@ from types import TracebackType
 from skyherd.datasets import Mission
 from skyherd.errors import OutputError
 from skyherd.files.video_writer import VideoSink
+from skyherd.geometry import RgbImage
 from skyherd.jobs.helpers import Helper, can_help, one_thread
 from skyherd.loop import Step
 from skyherd.messages import TIME_TOLERANCE_S
@@ -25,22 +26,31 @@ WAITING = 8
 """Number of steps that may wait for the drawing process. Chosen: 20 MB of images of six large cameras; with
 fewer the loop waits more often for slow frames."""
 
+END_S = 2
+"""Time for which a video shows its last frame with the verdict, s. Chosen: long enough to read it."""
+
+
+def phone_path(path: Path) -> Path:
+    """Return the path of the video for phones beside a video."""
+    return path.with_name(f"{path.stem}-phone{path.suffix}")
+
 
 class VideoRecorder(ExitStack):
-    """A `skyherd.recording.writer.Recorder` that makes an MP4 file, a frame each `video.speed / FPS` seconds.
+    """A `skyherd.recording.writer.Recorder` that makes two MP4 files, a frame each `video.speed / FPS` s.
 
-    With `video.end = "held"`, no frame shows a shape that has been held for longer than `video.after_s`.
+    One is wide, the other has its panels one below the other, for phones (`phone_path`). With
+    `video.end = "held"`, no frame shows a shape that has been held for longer than `video.after_s`.
 
-    The file is complete after the context is exited without an exception; else nothing is left of it.
+    The files are complete after the context is exited without an exception; else nothing is left of them.
 
     Args:
         mission: mission of the run.
-        path: the file to make.
+        path: the wide file to make.
         beside: compose and encode in a process of its own, where that is possible. A later call raises its
             errors.
 
     Raises:
-        OutputError: the file cannot be made there, or it is incomplete.
+        OutputError: a file cannot be made there, or it is incomplete.
     """
 
     def __init__(self, mission: Mission, path: Path, *, beside: bool = False) -> None:
@@ -57,6 +67,10 @@ class VideoRecorder(ExitStack):
         self._next_s += max(due, 0) * self._frame_s
         if self._ending.shows(step) and due > 0:
             self._film.add(step, due)
+
+    def conclude(self, verdict: str, *, is_good: bool) -> None:
+        """End the video with the verdict on the run below its name, for `END_S`."""
+        self._film.conclude(verdict, is_good)
 
 
 class _Ending:
@@ -80,22 +94,35 @@ class _Ending:
 
 
 class _Film(ExitStack):
-    """A video file made of steps; its context names it on success, and removes it after an exception.
+    """Video files made of steps; its context names them on success, and removes them after an exception.
 
     Attributes:
-        sink: the file.
+        sinks: the wide file, and the one for phones.
     """
 
     def __init__(self, mission: Mission, path: Path) -> None:
         super().__init__()
-        self._composer = Composer(mission)
-        self.sink = self.enter_context(VideoSink(path, self._composer.size_px, FPS))
+        self._composers = [Composer(mission), Composer(mission, phone=True)]
+        with ExitStack() as stack:
+            self.sinks = [
+                stack.enter_context(VideoSink(place, composer.size_px, FPS))
+                for place, composer in zip((path, phone_path(path)), self._composers, strict=True)
+            ]
+            self.push(stack.pop_all())
 
     def add(self, step: Step, copies: int) -> None:
-        """Compose a frame of the step and append it as often as `copies`."""
-        picture = self._composer.compose(step)
-        for _ in range(copies):
-            self.sink.write(picture)
+        """Compose the frames of the step and append each as often as `copies`."""
+        self._append([composer.compose(step) for composer in self._composers], copies)
+
+    def conclude(self, verdict: str, is_good: bool) -> None:
+        """Append the last frames with the verdict."""
+        ends = [composer.conclude(verdict, is_good=is_good) for composer in self._composers]
+        self._append(ends, END_S * FPS)
+
+    def _append(self, pictures: list[RgbImage], copies: int) -> None:
+        for sink, picture in zip(self.sinks, pictures, strict=True):
+            for _ in range(copies):
+                sink.write(picture)
 
 
 class _FilmBeside(ExitStack):
@@ -104,21 +131,25 @@ class _FilmBeside(ExitStack):
     def __init__(self, mission: Mission, path: Path) -> None:
         super().__init__()
         gone = OutputError(f"{path}: the process that made it ended unexpectedly; is there enough memory?")
-        self._part, self._unanswered = Path(), 0
+        self._parts: list[Path] = []
+        self._unanswered = 0
         with ExitStack() as stack:
             stack.enter_context(one_thread())
-            stack.callback(self._remove_part)
+            stack.callback(self._remove_parts)
             self._helper = stack.enter_context(Helper(_Studio(mission, path).serve, gone, waiting=WAITING))
             self._helper.ask(_BEGIN)
-            self._part = self._helper.answer()
+            self._parts = self._helper.answer()
             self.push(stack.pop_all())
 
     def add(self, step: Step, copies: int) -> None:
         """Have a frame of the step composed and appended; wait if too many are pending."""
         while self._unanswered and self._helper.answered():
             self._take_answer()
-        self._helper.ask((step, copies))
-        self._unanswered += 1
+        self._ask((step, copies))
+
+    def conclude(self, verdict: str, is_good: bool) -> None:
+        """Have the last frames with the verdict appended."""
+        self._ask((verdict, is_good))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -126,22 +157,28 @@ class _FilmBeside(ExitStack):
         """Wait for all frames and name the file; after an exception, remove its remains."""
         try:
             if error is None:
-                self._helper.ask(_END)
-                self._unanswered += 1
+                self._ask(_END)
                 while self._unanswered:
                     self._take_answer()
         finally:
             super().__exit__(kind, error, trace)
 
+    def _ask(self, request: "_Request") -> None:
+        self._helper.ask(request)
+        self._unanswered += 1
+
     def _take_answer(self) -> None:
         self._helper.answer()
         self._unanswered -= 1
 
-    def _remove_part(self) -> None:
-        """Remove the temporary file of a helper that was closed early or killed."""
-        if self._part.name:
-            self._part.unlink(missing_ok=True)
+    def _remove_parts(self) -> None:
+        """Remove the temporary files of a helper that was closed early or killed."""
+        for part in self._parts:
+            part.unlink(missing_ok=True)
 
+
+_Request = tuple[Step, int] | tuple[str, bool] | str
+"""A step and its copies, a verdict and whether it is good, or `_BEGIN` or `_END`."""
 
 _BEGIN, _END = "begin", "end"
 """Requests beside steps: create the file; give it its name."""
@@ -153,14 +190,16 @@ class _Studio:
     def __init__(self, mission: Mission, path: Path) -> None:
         self._mission, self._path = mission, path
 
-    def serve(self, request: tuple[Step, int] | str) -> Path | None:
-        """Begin the film and return the name of its temporary file; add a step to it; or end it."""
+    def serve(self, request: _Request) -> list[Path] | None:
+        """Begin the film and return the names of its temporary files; add to it; or end it."""
         if request == _BEGIN:
             os.nice(NICENESS)  # The encoder's threads start later and inherit it.
             self._film = _Film(self._mission, self._path)
-            return self._film.sink.part
-        if isinstance(request, tuple):
-            self._film.add(*request)
-        else:
+            return [sink.part for sink in self._film.sinks]
+        if not isinstance(request, tuple):
             self._film.close()
+        elif isinstance(request[0], str):
+            self._film.conclude(request[0], bool(request[1]))
+        else:
+            self._film.add(request[0], request[1])
         return None

@@ -1,5 +1,7 @@
 """Panel of a unit's image, rectified to an ideal camera by the learned ground map."""
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +21,7 @@ from skyherd.drawing.palette import INK, PAPER, TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.geometry import Array, RgbImage
 from skyherd.loop import UnitFrame
 from skyherd.messages import Detections
-from skyherd.video.camera_panel import BORDER_PX, PLAIN, TITLE_PX, brightened
+from skyherd.video.camera_panel import BORDER_PX, PLAIN, TITLE_PX, brightened, draw_outline
 
 Float = npt.NDArray[np.float32]
 
@@ -59,8 +61,13 @@ class RectifiedPanel:
         """Map points (..., 2) of the rectified image to the panel."""
         return np.asarray((points_px + 0.5) * self.scale - 0.5)
 
-    def draw(self, frame: UnitFrame) -> None:
-        """Draw a frame. With a correct map, all markers are squares of one size."""
+    def draw(self, frame: UnitFrame, outline_px: Sequence[Array] = ()) -> None:
+        """Draw a frame. With a correct map, all markers are squares of one size.
+
+        Args:
+            frame: the unit's image and decision.
+            outline_px: lines (M, 2) of the unit's desired shape in the rectified image.
+        """
         seen = frame.sight.detections
         robots = frame.decision.detections
         self._write_title(*_titles(seen, robots, learned=not frame.decision.ground_map.ideal))
@@ -71,6 +78,7 @@ class RectifiedPanel:
                 fill_polygon(self._picture, square, (0, 0, 0))
         else:
             self._draw_image(frame.sight.image, frame.decision.ground_map)
+        draw_outline(self._picture, [self.to_panel(line) for line in outline_px])
         draw_lines(self._picture, list(corners), self.color, 2, closed=True)
         if frame.decision.goals is not None:
             starts = robots.centers_px[rows_of(robots, frame.decision.goals.ids)]
@@ -111,4 +119,4 @@ def _titles(seen: Detections, robots: Detections, *, learned: bool) -> list[str]
     if not learned or len(seen) < 2:
         return ["rectified: as seen"]
     before, after = (f"{100 * np.std(d.sides_px) / np.mean(d.sides_px):.2g} %" for d in (seen, robots))
-    return [f"rectified · sizes ± {after}, seen ± {before}", f"sizes ± {after}, seen ± {before}"]
+    return [f"rectified · sizes ± {after}, seen ± {before}", f"rectified · sizes ± {after}"]

@@ -9,11 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import LogLocator, NullLocator
 
 from skyherd.drawing.palette import INK, MUTED, UNIT_COLORS
 from skyherd.plots.panels import FigureFile, save_figure
-from skyherd.plots.style import drawing_style, legend_above, new_figure
+from skyherd.plots.style import drawing_style, label_log_axis, legend_above, new_figure
 from skyherd.study.invariance.measures import IDEAL, RENDERED, Measures, Point, Sweep
 
 PANELS = (
@@ -121,8 +120,7 @@ def _draw_panel(axes: Axes, sweep: Sweep, field: str, places: Sequence[float]) -
     drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
     top = max(drawn[np.isfinite(drawn)], default=MIN_SHOWN)
     axes.set_ylim(MIN_SHOWN / 2, max(2 * top, 10 * MIN_SHOWN))
-    axes.yaxis.set_major_locator(LogLocator(numticks=8))
-    axes.yaxis.set_minor_locator(NullLocator())
+    label_log_axis(axes.yaxis)
 
 
 def _handles() -> list[Any]:

@@ -20,7 +20,7 @@ from skyherd.files.video_writer import VideoSink
 from skyherd.loop import run_steps
 from skyherd.plots import panels
 from skyherd.plots.panels import PANELS, Panel, write_figures
-from skyherd.report.run_page import write_page
+from skyherd.report.run_page import PAPER, write_page
 
 WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
 FEW = tuple(panel for panel in PANELS if panel.name in {"paths", "cost", "topology"})
@@ -95,8 +95,10 @@ def test_page_is_self_contained(page: Path, on_page: tuple[Panel, ...]) -> None:
     assert len(outline.all("video")) == 1
     assert len(outline.all("img")) == len(on_page)
     assert all(image["alt"] for image in outline.all("img"))
-    sources = [a[key] or "" for _, a in outline.tags for key in ("src", "href") if key in a]
-    assert all(source.startswith("data:") for source in sources)
+    loaded = [(tag, a[key] or "") for tag, a in outline.tags for key in ("src", "href", "poster") if key in a]
+    assert all(source.startswith("data:") for tag, source in loaded if tag != "a")
+    assert [source for tag, source in loaded if tag == "a"] == [PAPER]
+    assert outline.all("video")[0]["poster"].startswith("data:image/jpeg;base64,")
     ids = [a["id"] for _, a in outline.tags if "id" in a]
     assert len(ids) == len(set(ids))
 
@@ -156,6 +158,7 @@ def test_number_text_format(value: float, text: str) -> None:
         (Field("x", "x", "m²"), 2.5, "2.5 m²"),
         (Field("x", "x", kind="angle"), -np.pi / 2, "−90.0° (−1.571 rad)"),
         (Field("x", "x", kind="share"), 0.99995, "99.995 %"),
+        (Field("x", "x", kind="error"), 0.0041406, "0.414 %"),
         (Field("x", "x"), [1, 2], "[1, 2]"),
         (Field("x", "x", "", "", "ids"), [1, 2], "1, 2"),
         (Field("x", "x", "", "", "ids"), [], "none"),

@@ -19,7 +19,8 @@ class Field:
         label: a name of a few words.
         unit: suffix of the value; empty for none.
         meaning: a sentence.
-        kind: format of the value: `plain`, `angle` (degrees and radians), `share` (per cent) or `ids`.
+        kind: format of the value: `plain`, `angle` (degrees and radians), `share` (per cent), `error` (per
+            cent, three digits) or `ids`.
         absent: text of a value that is None, where that does not mean unknown.
     """
 
@@ -61,7 +62,7 @@ GROUPS: Mapping[str, tuple[Field, ...]] = {
             "Shape error",
             "",
             "RMS distance to the best-fitting copy of the shape, over the formation's RMS radius.",
-            "share",
+            "error",
         ),
         Field(
             "goal_error_m",
@@ -246,6 +247,8 @@ def value_text(field: Field, value: object) -> str:
         return f"{degrees(value):.1f}° ({number_text(value)} rad)".replace("-", "−")
     if field.kind == "share":
         return f"{100 * value:.5g} %"
+    if field.kind == "error":
+        return f"{100 * value:.3g} %"
     return f"{number_text(value)} {field.unit}".strip()
 
 

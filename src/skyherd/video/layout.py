@@ -34,7 +34,7 @@ GAP_PX = 14
 """Distance between panels."""
 
 MUCH_LARGER = 1.2
-"""Minimum enlargement of cameras that justifies another column. A wide block leaves less width to the ground
+"""Minimum enlargement of cameras that justifies more columns. A wide block leaves less width to the ground
 and more of the frame empty."""
 
 MIN_PAIR_PX = 110
@@ -90,7 +90,7 @@ def make_layout(
     width, height = size_px
     units, square = len(image_sizes_px), int(np.ceil(np.sqrt(len(image_sizes_px))))
     stack = 2 if rectified else 1
-    choices = range(1, units + 1) if rectified else (square, square + 1)
+    choices = range(1, units + 1) if rectified else range(square, square + 3)
     bottom = height - round(PLOTS_SHARE * height)
     blocks = [
         _block(columns, (width, bottom), image_sizes_px, strip_px, items, stack)

@@ -1,4 +1,4 @@
-"""Measure contacts of robots where the ground violates the assumption of one static marker per id.
+"""Measure contacts of robots where the ground or a camera violates the assumptions.
 
 ```sh
 export OPENBLAS_NUM_THREADS=1
@@ -6,9 +6,16 @@ python benchmarks/odd_worlds.py sheet --runs 20      # a spare sheet with a robo
 python benchmarks/odd_worlds.py sheets --runs 20     # sheets with all ids lie beside the team
 python benchmarks/odd_worlds.py stranger --runs 20   # a body with an unknown id stands among the robots
 python benchmarks/odd_worlds.py mover --runs 20      # an obstacle moves through the finished shape
+python benchmarks/odd_worlds.py freeze --runs 100    # a camera repeats one image for 2 to 12 s
+python benchmarks/odd_worlds.py delay --runs 100     # a camera is 2 to 12 s late
+python benchmarks/odd_worlds.py replay --runs 100    # a camera repeats its last 2 to 12 s three times
+python benchmarks/odd_worlds.py none --harsh         # false alarms under slip, latency and lost messages
 ```
 
-Each run is the scenario `crowd` with another seed and projected noisy markers. Robots have bodies of two
+`--unchecked` switches the units' check of their cameras off.
+
+Each run is the scenario `crowd` with another seed and projected noisy markers, with a single unit if its
+camera is faulty. Robots have bodies of two
 marker sides across. Sheets are flat, and robots may drive over them. A stranger and a mover are bodies.
 """
 
@@ -22,15 +29,20 @@ from typing import Any
 import numpy as np
 from rows import Row, gather
 
+from skyherd.control import AerialController
+from skyherd.control.camera_check import MAX_GAP_S, MOVED_SIDES, RESPONSIVE, CameraCheck
 from skyherd.datasets import Mission, load_mission
 from skyherd.geometry import Array
 from skyherd.loop import run_steps
 from skyherd.render import CameraPose
+from skyherd.sim.agents import make_controller
 from skyherd.sim.perception import make_run_perception
+from skyherd.sim.robot_teams import make_camera_rule
 from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import Markers, World
 
-WORLDS = ("none", "sheet", "sheets", "stranger", "mover")
+FAULTS = ("freeze", "delay", "replay")
+WORLDS = ("none", "sheet", "sheets", "stranger", "mover", *FAULTS)
 CLEAR_SIDES = 3.0
 """Minimum distance of a sheet or stranger from the robots at the start, marker sides. Chosen: a gap of one
 side between bodies."""
@@ -42,11 +54,35 @@ SPEEDS_MPS = (0.02, 0.1)
 MOVER_START_S = 30.0
 """Time at which a mover starts, s. Chosen: the shape is formed by then."""
 
-DURATION_S = {"mover": 90.0}
-"""Simulated time by world, s. Chosen: a mover at 0.1 m/s passes the shape."""
+DURATION_S = {"mover": 90.0, **dict.fromkeys(FAULTS, 40.0)}
+"""Simulated time by world, s. Chosen: a mover at 0.1 m/s passes the shape, and a fault ends before."""
 
 USUAL_DURATION_S = 40.0
 """Simulated time in other worlds, s. Chosen: twice the time in which the shape is formed."""
+
+
+ONE_CAMERA = (
+    "units=[{ position_m = [0.0, 0.0], height_m = 8.0, camera = { half_angle_deg = 35.0 }, "
+    'flight = { kind = "keep-in-view" } }]'
+)
+"""Setting of a single unit: no other one corrects it."""
+
+FAULT_START_S = (0.3, 3.0)
+"""Range of a fault's start, s. Chosen: the robots move for about 5 s."""
+
+FAULT_S = (2.0, 12.0)
+"""Range of a fault's duration, of a delay and of a clip, s. Chosen: 2 s of frozen images cause contacts."""
+
+HARSH = (
+    "robots.drive.slip=0.05",
+    "robots.drive.gain_error=0.2",
+    "robots.drive.delay_s=0.1",
+    "network.message_loss=0.3",
+    "network.frame_loss=0.1",
+    "network.delay_s=0.2",
+    "units.0.latency_s=0.2",
+)
+"""Settings of imperfect wheels and radio."""
 
 
 class ExtraMarkers(Perception):
@@ -104,13 +140,25 @@ class _Extended(World):
         return self._world.camera_pose(unit)
 
 
-def load_world(seed: int, world: str) -> Mission:
+def draw_fault(seed: int, kind: str) -> list[str]:
+    """Return the settings of a single camera with a fault at a random time."""
+    rng = np.random.default_rng([seed, 92])
+    start_s, by_s = rng.uniform(*FAULT_START_S), rng.uniform(*FAULT_S)
+    lasts_s = by_s if kind == "freeze" else 3 * by_s
+    times = f"start_s = {start_s:.1f}, end_s = {start_s + lasts_s:.1f}, by_s = {by_s:.1f}"
+    return [ONE_CAMERA, f'units.0.camera.faults=[{{ kind = "{kind}", {times} }}]']
+
+
+def load_world(seed: int, world: str, *, checked: bool = True, harsh: bool = False) -> Mission:
     """Return the mission of one run."""
     settings = [
         f"seed={seed}",
         "perception=noisy",
         f"duration_s={DURATION_S.get(world, USUAL_DURATION_S)}",
     ]
+    settings += [] if checked else ["control.camera_check=false"]
+    settings += draw_fault(seed, world) if world in FAULTS else []
+    settings += HARSH if harsh else []
     if world == "mover":
         # The scenario's own obstacle is far away; it makes the mover's id known as an obstacle.
         settings.append(f"obstacles=[{{ id = {MOVER_ID}, position_m = [500.0, 500.0] }}]")
@@ -142,19 +190,43 @@ def place_extra(mission: Mission, seed: int, world: str) -> tuple[list[int], Arr
     return [robot if world == "sheet" else STRANGER_ID], at_m[None], still
 
 
-def run_world(seed: int, world: str) -> Row:
+class Responses(CameraCheck):
+    """Check of a camera that keeps the ratio of seen to commanded motion of each robot that is tried."""
+
+    ratios: list[float]
+
+    def _judge_robots(self, view: Any, trial: Any) -> None:
+        if view.time_s - trial.time_s >= MAX_GAP_S:
+            commanded = self._commanded_sides(trial.time_s, view.time_s - self._rule.lag_s)
+            tried = (commanded >= MOVED_SIDES) & view.seen & trial.seen
+            moved = view.relative_sides(trial, np.ones(tried.size, dtype=bool))
+            self.ratios += (moved[tried] / commanded[tried]).tolist()
+        super()._judge_robots(view, trial)
+
+
+def run_world(seed: int, world: str, *, checked: bool = True, harsh: bool = False) -> Row:
     """Run one mission and return its contacts and its shape error at the end."""
-    mission = load_world(seed, world)
+    mission = load_world(seed, world, checked=checked, harsh=harsh)
     perception = make_run_perception(mission)
     extra = None
-    if world != "none":
+    if world not in ("none", *FAULTS):
         ids, places_m, velocity_mps = place_extra(mission, seed, world)
         perception = extra = ExtraMarkers(perception, ids, places_m, velocity_mps)
     side_m, radius_m = mission.scenario.marker.side_m, mission.bodies.radius_m
     is_body = world in ("stranger", "mover")
     touching: set[tuple[int, ...]] = set()
-    contacts, gap_m = 0, np.inf
-    for step in run_steps(mission, perception):
+    faults = [fault for unit in mission.scenario.units for fault in unit.camera.faults]
+    contacts, gap_m, images, alarms, missed_s = 0, np.inf, 0, 0, np.nan
+    ratios: list[float] = []
+
+    def controller_for(of: Mission, unit: int) -> AerialController:
+        controller, rule = make_controller(of, unit), make_camera_rule(of.scenario)
+        if checked and rule is not None:
+            controller.camera_check = Responses(rule, controller.template.ids)
+            controller.camera_check.ratios = ratios
+        return controller
+
+    for step in run_steps(mission, perception, controller_for=controller_for):
         gaps_m, pairs = mission.bodies.gaps_m(step.positions_m), mission.bodies.pairs(len(step.positions_m))
         now = {tuple(pair) for pair in pairs[gaps_m < 0].tolist()}
         if is_body and extra is not None:
@@ -163,11 +235,22 @@ def run_world(seed: int, world: str) -> Row:
             now |= {(robot, -1) for robot in np.flatnonzero(away_m < 0).tolist()}
         contacts += len(now - touching)
         touching, gap_m = now, min(gap_m, float(gaps_m.min()))
+        suspects = [unit for unit, frame in step.frames.items() if frame.decision.suspicion]
+        images += len(step.frames)
+        if not any(step.time_s >= fault.start_s for fault in faults):
+            alarms += len(suspects)
+        elif suspects and np.isnan(missed_s):
+            missed_s = step.time_s - faults[0].start_s
     return {
         "seed": seed,
         "contacts": contacts,
         "min_gap_sides": round(gap_m / side_m, 3),
         "shape_error": round(step.metrics.shape.error, 4),
+        "images": images,
+        "false_alarms": alarms,
+        "tried": len(ratios),
+        "unresponsive": sum(ratio < RESPONSIVE for ratio in ratios),
+        "suspected_after_s": None if np.isnan(missed_s) else round(missed_s, 1),
     }
 
 
@@ -179,6 +262,11 @@ def summarize(rows: list[Row]) -> dict[str, Any]:
         "contacts": sum(row["contacts"] for row in rows),
         "min_gap_sides": min(row["min_gap_sides"] for row in rows),
         "formed": sum(row["shape_error"] < 0.01 for row in rows),
+        "images": sum(row["images"] for row in rows),
+        "false_alarms": sum(row["false_alarms"] for row in rows),
+        "tried": sum(row["tried"] for row in rows),
+        "unresponsive": sum(row["unresponsive"] for row in rows),
+        "suspected": sum(row["suspected_after_s"] is not None for row in rows),
     }
 
 
@@ -188,13 +276,16 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("world", choices=WORLDS)
+    parser.add_argument("--unchecked", action="store_true", help="units trust every image")
+    parser.add_argument("--harsh", action="store_true", help="imperfect wheels and radio")
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=100, help="of the first run")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", type=Path, help="file of rows, one a line")
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.runs)
-    rows = gather(partial(run_world, world=options.world), seeds, options.jobs, options.json)
+    run = partial(run_world, world=options.world, checked=not options.unchecked, harsh=options.harsh)
+    rows = gather(run, seeds, options.jobs, options.json)
     print(json.dumps(summarize(rows), indent=1))
 
 

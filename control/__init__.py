@@ -12,6 +12,7 @@ from skyherd.control.avoidance.detour import Detour
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.avoidance.proximity import BodyRule
 from skyherd.control.avoidance.speed_bound import AvoidanceRule
+from skyherd.control.camera_check import CameraRule
 from skyherd.control.flight.keep_in_view import KeepInView
 from skyherd.control.flight.laws import Follow, Hover, Perimeter
 from skyherd.control.formation.assignment import ascend
@@ -64,6 +65,7 @@ __all__ = [
     "AerialController",
     "AvoidanceRule",
     "BodyRule",
+    "CameraRule",
     "Conditions",
     "ControlSets",
     "Decision",

@@ -12,12 +12,14 @@ defined age:
 """
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from skyherd.control.avoidance.image_border import HiddenRobots
 from skyherd.control.avoidance.proximity import BodyRule, proximity
+from skyherd.control.camera_check import CameraCheck, CameraRule
 from skyherd.control.formation.registration import register_views
 from skyherd.control.formation.roles import RoleRule, Roles
 from skyherd.control.formation.schedule import Schedule
@@ -48,6 +50,8 @@ class Decision:
         flight: command to its own autopilot.
         proximity: gaps between bodies, for its robots; None if robots are points.
         ground_map: rectification map of the detections; the identity without a rectifier.
+        suspicion: reason why the unit suspects its camera and sends nothing; empty if it trusts the camera.
+            The report then only lists the markers of the image, and is not sent.
     """
 
     detections: Detections
@@ -56,6 +60,7 @@ class Decision:
     flight: FlightCommand
     proximity: Proximity | None = None
     ground_map: GroundMap = field(default_factory=GroundMap)
+    suspicion: str = ""
 
     __repr__ = short_repr
 
@@ -81,6 +86,8 @@ class AerialController:
         size: bounds on the size of the shape; None for a free size, as in the paper.
         bodies: sizes of robots and obstacles; None for points.
         clock: estimates the team's time from received time stamps; None if the unit's own clock shows it.
+        camera: the robots' response to goals, by which the unit detects a frozen or replayed camera; None to
+            trust every image.
     """
 
     def __init__(
@@ -96,6 +103,7 @@ class AerialController:
         size: SizeRule | None = None,
         bodies: BodyRule | None = None,
         clock: TeamClock | None = None,
+        camera: CameraRule | None = None,
     ) -> None:
         check_kind("AerialController: schedule", schedule, (Template, Schedule), "a Template or a Schedule")
         self.schedule = Schedule(schedule) if isinstance(schedule, Template) else schedule
@@ -106,27 +114,37 @@ class AerialController:
         self.ambiguous_ids = AmbiguousIds()
         self.size, self.side_consensus = size or SizeRule(), SideConsensus()
         self.clock = clock
+        self.camera_check = None if camera is None else CameraCheck(camera, self.template.ids)
         self._last_report: UnitReport | None = None
 
-    def step(self, detections: Detections, reports: Sequence[UnitReport] = ()) -> Decision:
+    def step(
+        self,
+        detections: Detections,
+        reports: Sequence[UnitReport] = (),
+        *,
+        obeying_ids: AbstractSet[int] | None = None,
+    ) -> Decision:
         """Decide on one image.
 
         Args:
             detections: all markers of the image, with the time of the unit's own clock. Markers with a
                 repeated id are ambiguous: they get no goals, and are bodies without identity.
             reports: the last report received from each other unit, of any age.
+            obeying_ids: robots that follow goals now, by which the unit checks its camera; all if None.
         """
         ambiguous = self.ambiguous_ids.update(detections)
         everything = self._in_team_time(detections, reports)
         detections = everything.without(ambiguous)
+        recent = [r for r in reports if r.time_s >= detections.time_s - self.report_lifetime_s]
+        if self.camera_check is not None and (suspicion := self.camera_check.look(everything, recent)):
+            return self._suspect(detections.select(self.template.members), suspicion)
         if self.rectifier is not None:
             detections = self.rectifier.rectify(detections)
         seen = detections.select(self.template.members)
-        reports = [r for r in reports if r.time_s >= detections.time_s - self.report_lifetime_s]
-        self._choose_roles(seen, reports)
-        side_px = 0.0 if self.size.is_free else self.side_consensus.update(seen, reports)
-        selection = self.selection.choose(seen, reports, self.roles.shape, self._last_report)
-        goals = self._goals(seen, selection, reports, side_px) if selection.may_move else None
+        self._choose_roles(seen, recent)
+        side_px = 0.0 if self.size.is_free else self.side_consensus.update(seen, recent)
+        selection = self.selection.choose(seen, recent, self.roles.shape, self._last_report)
+        goals = self._goals(seen, selection, recent, side_px) if selection.may_move else None
         self._last_report = UnitReport(
             unit_id=seen.unit_id,
             time_s=seen.time_s,
@@ -142,14 +160,22 @@ class AerialController:
         )
         ground_map = GroundMap() if self.rectifier is None else self.rectifier.ground_map
         bodies = rectified(everything, ground_map) if ambiguous else detections
+        near = self._near_bodies(bodies, ambiguous, recent, ground_map)
+        if self.camera_check is not None:
+            self.camera_check.command(goals, near, recent, obeying_ids)
         return Decision(
             detections=detections,
             goals=goals,
             report=self._last_report,
-            flight=self._fly(seen, selection, reports),
-            proximity=self._near_bodies(bodies, ambiguous, reports, ground_map),
+            flight=self._fly(seen, selection, recent),
+            proximity=near,
             ground_map=ground_map,
         )
+
+    def _suspect(self, seen: Detections, suspicion: str) -> Decision:
+        """Return the decision while the camera is suspected: hold the position, and send nothing."""
+        hold = FlightCommand.hold(seen.unit_id)
+        return Decision(seen, None, UnitReport.of_image(seen), hold, suspicion=suspicion)
 
     def _in_team_time(self, detections: Detections, reports: Sequence[UnitReport]) -> Detections:
         """Return the detections with the team's time instead of the unit's own time."""

@@ -15,7 +15,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
-from skyherd.datasets.configuration.camera_models import CameraModel
+from skyherd.datasets.configuration.camera_models import CameraFaultModel, CameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
 from skyherd.datasets.configuration.fields import DictionaryName, Model, Name, Point
 from skyherd.datasets.configuration.file_kinds import (
@@ -115,6 +115,7 @@ __all__ = [
     "STUDY",
     "AutopilotModel",
     "AvoidanceModel",
+    "CameraFaultModel",
     "CameraModel",
     "Crowd",
     "Dataset",

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from skyherd.datasets.configuration.cameras import CAMERAS
-from skyherd.datasets.configuration.fields import Model, Point
+from skyherd.datasets.configuration.fields import Model, NotNegative, Point, Positive
 from skyherd.datasets.configuration.validation import shown
 from skyherd.errors import InputError
 from skyherd.render import Camera, Distortion, Equidistant
@@ -145,3 +145,45 @@ class CameraModel(Model):
             key = "distortion" if self.lens == "perspective" else "lens"
             return InputError(key, LENS_VALUES.sub("the lens", error.what), error.allowed)
         return None
+
+
+class CameraFaultModel(Model):
+    """Span in which a camera sends old images with fresh time stamps."""
+
+    kind: Literal["freeze", "delay", "replay"] = Field(
+        description="repeat the image of start_s; show the images of by_s ago; or repeat the clip of by_s "
+        "before start_s"
+    )
+    start_s: NotNegative = Field(description="s; start of the fault")
+    end_s: Positive = Field(description="s; end of the fault; after it images are current again")
+    by_s: Positive = Field(
+        2.0, description="s; delay: age of the images; replay: length of the repeated clip"
+    )
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.start_s >= self.end_s:
+            raise InputError("end_s", f"{self.end_s:g}, with start_s {self.start_s:g}", "more than start_s")
+        return self
+
+    def shown_s(self, time_s: float) -> float:
+        """Return the time of the image that is shown during the fault."""
+        if self.kind == "freeze":
+            return self.start_s
+        if self.kind == "delay":
+            return time_s - self.by_s
+        return self.start_s - self.by_s + (time_s - self.start_s) % self.by_s
+
+    def oldest_s(self, time_s: float) -> float:
+        """Return the time of the oldest image that is shown at a time or later, before the end."""
+        if self.kind == "delay":
+            return max(self.start_s, time_s) - self.by_s
+        return self.start_s - (self.by_s if self.kind == "replay" else 0.0)
+
+
+class UnitCameraModel(CameraModel):
+    """Camera of a unit, with its faults."""
+
+    faults: list[CameraFaultModel] = Field(
+        [], max_length=100, description="spans in which its images are old, with fresh time stamps"
+    )

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
-from skyherd.datasets.configuration.camera_models import CameraModel
+from skyherd.datasets.configuration.camera_models import UnitCameraModel
 from skyherd.datasets.configuration.fields import (
     MAX_ROBOTS,
     Angle,
@@ -85,7 +85,7 @@ class UnitModel(Model):
         Annotated[FiniteFloat, Field(ge=-45, le=45)], Annotated[FiniteFloat, Field(ge=-45, le=45)]
     ] = Field((0.0, 0.0), description="deg; constant tilt about the camera's u and v axes")
     sway: SwayModel | None = Field(None, description="sway; none if left out")
-    camera: CameraModel = Field(description="its camera; the controller gets only the image size")
+    camera: UnitCameraModel = Field(description="its camera; the controller gets only the image size")
     zoom: list[tuple[NotNegative, Zoom]] = Field(
         default=[(0.0, 1.0)],
         min_length=1,

@@ -14,6 +14,7 @@ from skyherd.messages.checks import check_kind
 from skyherd.messages.short_repr import short_repr
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.agents import ControllerFactory, UnitAgents, make_controller
+from skyherd.sim.faulty_cameras import with_camera_faults
 from skyherd.sim.perception import make_run_perception
 from skyherd.sim.physics import make_network, make_world
 from skyherd.sim.robot_teams import TeamFactory, make_team
@@ -105,7 +106,7 @@ def run_steps(
     scenario = mission.scenario
     frame_rng = generator(scenario.seed, RunStream.LOST_FRAMES)
     world, observer = make_world(mission), TruthObserver(mission.template, mission.ids)
-    perception = perception or make_run_perception(mission)
+    perception = with_camera_faults(perception or make_run_perception(mission), mission)
     network = make_network(scenario, generator(scenario.seed, RunStream.MESSAGES))
     agents, team = UnitAgents(mission, controller_for), team_for(mission, world)
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
@@ -121,8 +122,8 @@ def run_steps(
         for unit, sight in zip(kept, perception.look(world, kept, time_s), strict=True):
             decision = agents.decide(sight.detections, list(network.reports[unit].values()))
             arrival_s = time_s + scenario.units[unit].latency_s
-            to_robots = decision.goals, decision.proximity
-            network.send(to_robots, decision.report, arrival_s)
+            if not decision.suspicion:
+                network.send((decision.goals, decision.proximity), decision.report, arrival_s)
             world.fly(decision.flight)
             frames[unit] = UnitFrame(sight, decision)
         orders = team.decide(time_s, network.deliver(time_s))

@@ -159,3 +159,40 @@ class TestGoals:
             unit.hear()
             news = unit.see()
         assert "goals" in sent_kinds(news)
+
+
+class TestCamera:
+    def watch(self, unit, seconds, *, state="driving", armed=True):
+        """Show the same picture for a time, with heartbeats of all robots; return the last news."""
+        for _ in range(round(seconds / FRAME_S)):
+            for robot in LAB.ids:
+                heartbeat = Heartbeat({"unit/0": (unit.now_s, unit.now_s)}, state, "session", armed)
+                unit.core.receive(Envelope(f"robot/{robot}", unit.now_s, heartbeat, "x"), unit.now_s)
+            news = unit.see()
+        return news
+
+    def scattered(self, make_detections) -> OneUnit:
+        """Return a unit whose robots stand far from their places."""
+        unit, rng = OneUnit(make_detections), np.random.default_rng(2)
+        points = rng.uniform(200, 600, (len(LAB.ids), 2)) @ [1, 1j]
+        unit.image = make_detections(LAB.ids, points)
+        return unit
+
+    def test_sends_nothing_while_robots_drive_in_a_still_picture(self, make_detections) -> None:
+        unit = self.scattered(make_detections)
+        assert self.watch(unit, 0.4).messages
+        news = self.watch(unit, 2.0)
+        assert news.messages == () and "may be frozen" in unit.core.trouble
+
+    @pytest.mark.parametrize(
+        ("state", "armed"), [("disarmed", False), ("driving (dry run)", True), ("no fresh goal", True)]
+    )
+    def test_robots_that_stand_show_nothing_about_it(self, make_detections, state, armed) -> None:
+        unit = self.scattered(make_detections)
+        assert "goals" in sent_kinds(self.watch(unit, 10.0, state=state, armed=armed))
+
+    def test_new_arm_command_ends_the_suspicion(self, make_detections) -> None:
+        unit = self.scattered(make_detections)
+        self.watch(unit, 3.0)
+        unit.hear(latch=StopLatch(stop=3, cleared=3))
+        assert "goals" in sent_kinds(unit.see())

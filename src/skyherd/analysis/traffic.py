@@ -49,6 +49,8 @@ def count_traffic(mission: Mission, steps: Sequence[Step]) -> Traffic:
 
 def _sent(frame: UnitFrame) -> tuple[int, int]:
     """Count the messages that a unit sent after one image, and the numbers in them."""
+    if frame.decision.suspicion:
+        return 0, 0
     messages, numbers = 1, _numbers_in(frame.decision.report)
     if (goals := frame.decision.goals) is not None:
         messages += len(goals)

@@ -20,6 +20,10 @@ MIN_SHARE = 0.2
 bursts. At 0.1, decisions would occupy a robot under many cameras."""
 
 
+DRY_RUN = " (dry run)"
+"""Suffix of the state in the heartbeats of a robot without wheels, which units do not expect to move."""
+
+
 class DecisionTimer:
     """Timer of a robot's decisions: once a period, and soon after each new goal.
 
@@ -77,6 +81,7 @@ def run_robot(context: ProcessContext, robot_id: int, *, dry_run: bool = False) 
         process_log = stack.enter_context(context.process_log(core.name))
         driver = stack.enter_context(_driver(context, mailbox, robot_id, dry_run=dry_run))
         status = StatusLine(context, process_log)
+        note = DRY_RUN if dry_run or lab.robot(robot_id).driver == "dry-run" else ""
         heartbeats = HeartbeatTimer()
         timer = DecisionTimer(lab.model.limits.period_s, time.monotonic())
         while not context.ended():
@@ -95,7 +100,7 @@ def run_robot(context: ProcessContext, robot_id: int, *, dry_run: bool = False) 
             process_log.put("/decide", now_s, news)
             status.say(_line(core.name, order, driver.trouble or process_log.trouble))
             if heartbeats.due(now_s):
-                mailbox.send(core.heartbeat(now_s, order.reason))
+                mailbox.send(core.heartbeat(now_s, order.reason + note))
                 process_log.put(
                     "/heartbeat", now_s, {"refused": mailbox.refusals.counts, "dropped": mailbox.dropped}
                 )

@@ -3,7 +3,9 @@
 The controller is the simulator's (`AerialController`). The team clock (`skyherd.control.TeamClock`) stamps
 the units' reports, so that slots and turns agree between units whose clocks differ. Messages to robots carry
 the time of the image on the unit's own clock, which each robot compares with its clock. A live unit ignores
-reports with untrusted times, and stale images. While a stop is in force it sends no goals.
+reports with untrusted times, and stale images. While a stop is in force it sends no goals. While it suspects
+its camera (`skyherd.control.camera_check`) it sends only heartbeats. Robots count there only while their
+heartbeats say that they drive.
 """
 
 import math
@@ -13,10 +15,13 @@ import numpy as np
 
 from skyherd.control import AerialController, Decision
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
-from skyherd.live.robot_core import FUTURE_S, MAX_GAP_S
+from skyherd.live.robot_core import DRIVING, FUTURE_S, MAX_GAP_S
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import Envelope, Heartbeat, Message, Sighting
 from skyherd.messages import Detections, UnitReport
+
+HEARTBEAT_LIFE_S = 1.0
+"""Time for which a robot's heartbeat shows that it drives, s. Chosen: four heartbeats."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,7 @@ class UnitCore:
         self.latch: StopLatch = NO_COMMAND
         self._controller, self._oldest_s = controller, oldest_s
         self._reports: dict[int, UnitReport] = {}
+        self._driving_s: dict[int, float] = {}
         self._imaged_s = self._namesake_s = -math.inf
         self._called_s: float | None = None
         self._woke_s, self._heard_since_woken = math.inf, False
@@ -71,8 +77,10 @@ class UnitCore:
         return "" if self._heard_since_woken else "no heartbeat since the process started or woke up"
 
     def receive(self, envelope: Envelope, now_s: float) -> None:
-        """Process a message that arrives now."""
-        self.latch = self.latch.merge(envelope.latch)
+        """Process a message that arrives now. An arm command ends a suspicion of the camera."""
+        cleared, self.latch = self.latch.cleared, self.latch.merge(envelope.latch)
+        if self.latch.cleared > cleared and self._controller.camera_check is not None:
+            self._controller.camera_check.reset()
         if envelope.sender == self.name:
             self._namesake_s = now_s
             return
@@ -80,6 +88,8 @@ class UnitCore:
         self.clocks.hear(envelope, now_s)
         self._heard_since_woken |= self.clocks.was_sent_after(envelope, self._woke_s, now_s)
         message = envelope.message
+        if isinstance(message, Heartbeat):
+            self._note_robot(envelope.sender, message, now_s)
         if not isinstance(message, UnitReport) or message.unit_id == self.unit_id:
             return
         if why := self.clocks.distrust(envelope.sender, now_s):
@@ -115,8 +125,12 @@ class UnitCore:
             return None
         self.trouble = ""
         self._imaged_s = detections.time_s
-        decision = self._controller.step(detections, list(self._reports.values()))
+        obeying = frozenset[int]() if self.withheld(now_s) else self._driving(now_s)
+        decision = self._controller.step(detections, list(self._reports.values()), obeying_ids=obeying)
         decision = _stamped(decision, detections.time_s)
+        if decision.suspicion:
+            self.trouble = decision.suspicion
+            return UnitNews(decision, ())
         sighting = Sighting(
             self.unit_id,
             detections.time_s,
@@ -126,6 +140,22 @@ class UnitCore:
         commands = () if self.withheld(now_s) else (decision.goals, decision.proximity)
         news = [message for message in commands if message is not None]
         return UnitNews(decision, (sighting, *news, decision.report))
+
+    def _note_robot(self, sender: str, heartbeat: Heartbeat, now_s: float) -> None:
+        """Note whether a robot drives, by its heartbeat."""
+        kind, _, number = sender.partition("/")
+        if kind != "robot" or not number.isdecimal():
+            return
+        if heartbeat.armed and heartbeat.state == DRIVING:
+            self._driving_s[int(number)] = now_s
+        else:
+            self._driving_s.pop(int(number), None)
+
+    def _driving(self, now_s: float) -> frozenset[int]:
+        """Return the robots that drive, by their recent heartbeats."""
+        return frozenset(
+            robot for robot, heard_s in self._driving_s.items() if now_s - heard_s <= HEARTBEAT_LIFE_S
+        )
 
     def _note_call(self, now_s: float) -> None:
         """Detect a start, a sleep or a clock reset from the time since the last call."""

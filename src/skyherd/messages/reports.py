@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, IntArray
 from skyherd.messages.checks import check_time
-from skyherd.messages.detections import centred
+from skyherd.messages.detections import Detections, centred
 from skyherd.messages.frozen_arrays import freeze, freeze_ids, freeze_image_size
 from skyherd.messages.role_map import RoleMap
 from skyherd.messages.short_repr import short_repr
@@ -59,6 +59,20 @@ class UnitReport:
         freeze(self, "points_px", (n, 2))
         freeze_ids(self, "controlled_ids")
         freeze_ids(self, "secure_ids")
+
+    @classmethod
+    def of_image(cls, seen: Detections) -> "UnitReport":
+        """Return a report that only lists the markers `seen` in an image, each once."""
+        seen, none = seen.unambiguous(), np.zeros(0, dtype=np.int64)
+        return cls(
+            unit_id=seen.unit_id,
+            time_s=seen.time_s,
+            image_size_px=seen.image_size_px,
+            ids=seen.ids,
+            points_px=seen.centers_px,
+            controlled_ids=none,
+            secure_ids=none,
+        )
 
     @cached_property
     def controlled(self) -> frozenset[int]:

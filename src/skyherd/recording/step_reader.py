@@ -52,6 +52,10 @@ def read_step(time_s: float, records: dict[str, Any], mission: Mission) -> Step:
     )
 
 
+UNSENT = "the camera was suspected"
+"""Suspicion of a unit whose recording lacks its report: it sent nothing."""
+
+
 def _read_frame(topic: str, records: dict[str, Any], size_px: tuple[int, int]) -> UnitFrame:
     truth, goals, image, near = (
         records[f"{topic}/truth"],
@@ -70,13 +74,15 @@ def _read_frame(topic: str, records: dict[str, Any], size_px: tuple[int, int]) -
     ground_map = GroundMap() if recorded_map is None else from_plain(GroundMap, recorded_map)
     check_map(ground_map)
     check_places(sight.detections)
+    report = records.get(f"{topic}/report")
     decision = Decision(
         detections=rectified(sight.detections, ground_map),
         goals=None if goals is None else from_plain(MotionGoals, goals),
-        report=_read_report(records[f"{topic}/report"]),
+        report=UnitReport.of_image(sight.detections) if report is None else _read_report(report),
         flight=from_plain(FlightCommand, records[f"{topic}/flight"]),
         proximity=None if near is None else from_plain(Proximity, near),
         ground_map=ground_map,
+        suspicion=UNSENT if report is None else "",
     )
     return UnitFrame(sight, decision)
 

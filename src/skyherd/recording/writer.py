@@ -187,7 +187,8 @@ class McapRecorder:
             self._log.put(f"{topic}/goals", time_s, decision.goals)
         if decision.proximity is not None:
             self._log.put(f"{topic}/proximity", time_s, decision.proximity)
-        self._log.put(f"{topic}/report", time_s, decision.report)
+        if not decision.suspicion:
+            self._log.put(f"{topic}/report", time_s, decision.report)
         self._log.put(f"{topic}/flight", time_s, decision.flight)
         if not frame.decision.ground_map.ideal:
             self._log.put(f"{topic}/map", time_s, frame.decision.ground_map)

@@ -18,6 +18,7 @@ from skyherd.geometry import IntArray
 from skyherd.messages import Detections, UnitReport
 from skyherd.sim.delays import min_report_delay_s
 from skyherd.sim.physics import read_unit_clock
+from skyherd.sim.robot_teams import make_camera_rule
 
 
 def make_controller(mission: Mission, unit: int) -> AerialController:
@@ -35,6 +36,7 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
         size=make_size(scenario.size, mission.template, scenario.marker.side_m),
         bodies=make_body_rule(scenario.avoidance, scenario.robots.body_radius_sides, scenario.obstacles),
         clock=TeamClock(min_report_delay_s(scenario)) if scenario.clocks_differ else None,
+        camera=make_camera_rule(scenario) if scenario.control.camera_check else None,
     )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from skyherd.control import (
     AvoidanceRule,
+    CameraRule,
     GoalFollowers,
     GoalInboxes,
     LatencyCompensation,
@@ -150,6 +151,22 @@ def make_avoidance(scenario: Scenario) -> AvoidanceRule:
     )
     return make_avoidance_rule(
         scenario.avoidance, drive, make_wheels(scenario), side_m=scenario.marker.side_m, timing=timing
+    )
+
+
+def make_camera_rule(scenario: Scenario) -> CameraRule | None:
+    """Return the response of a scenario's robots to goals; None if they follow another law."""
+    if scenario.control.method != "similarity":
+        return None
+    step_s, drive = scenario.step_s, scenario.robots.drive
+    brakes_s = scenario.robots.max_speed_mps / drive.max_accel_mps2 if drive.max_accel_mps2 else 0.0
+    slowest_s = max(1 / unit.frame_rate_hz for unit in scenario.units)
+    return CameraRule(
+        make_gains(scenario),
+        side_m=scenario.marker.side_m,
+        max_speed_mps=scenario.robots.max_speed_mps,
+        lag_s=max_message_delay_s(scenario) + slowest_s + step_s + drive.delay_s + brakes_s / 2,
+        avoidance=make_avoidance(scenario) if scenario.avoidance.on else None,
     )
 
 

@@ -92,6 +92,11 @@ class LabControl(Model):
     neighbors: Annotated[int, Field(ge=1, le=MAX_ROBOTS)] = Field(
         3, description="number of nearest robots to which a unit sends each robot the distances"
     )
+    camera_check: bool = Field(
+        True,
+        description="whether units compare their images with the commanded motion, and send nothing while "
+        "their camera seems to be frozen or to replay old images",
+    )
     rectify: bool = Field(
         True, description="whether to estimate tilt and lens of the cameras from the markers"
     )

@@ -15,6 +15,7 @@ from skyherd.assembly import (
 from skyherd.control import (
     AerialController,
     AvoidanceRule,
+    CameraRule,
     Hover,
     MarkerGains,
     Rectifier,
@@ -33,8 +34,8 @@ from skyherd.live.unit_core import UnitCore
 from skyherd.sim.robot_teams import Timing, make_avoidance_rule
 
 NOMINAL_AGE_SHARE = 0.5
-"""Image age for which avoidance allows the fastest approach, as a share of `goal_timeout_s`. Chosen: a
-typical age. It does not affect safety."""
+"""Image age for which avoidance allows the fastest approach and after which goals show an effect, as a share
+of `goal_timeout_s`. Chosen: a typical age. It does not affect the bound on approach speeds."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +105,7 @@ class Lab:
             size=make_size(model.shape.size, self.template, model.markers.side_m),
             bodies=make_body_rule(model.avoidance, model.avoidance.body_radius_sides, model.obstacles),
             clock=TeamClock(),
+            camera=self.make_camera_rule() if model.control.camera_check else None,
         )
 
     def make_unit(self, unit: int) -> UnitCore:
@@ -163,6 +165,27 @@ class Lab:
             ),
         )
 
+    def make_camera_rule(self) -> CameraRule:
+        """Return the robots' response to goals, by which units check their cameras."""
+        limits = self.model.limits
+        accel_mps2 = self.model.drive.max_accel_mps2 or limits.max_accel_mps2
+        return CameraRule(
+            self.make_law(),
+            side_m=self.model.markers.side_m,
+            max_speed_mps=limits.max_speed_mps,
+            lag_s=NOMINAL_AGE_SHARE * limits.goal_timeout_s
+            + self.model.control.delay_s
+            + limits.max_speed_mps / accel_mps2 / 2,
+            avoidance=self.make_avoidance(),
+        )
+
+    def make_law(self) -> MarkerGains:
+        """Return the speed law of the robots."""
+        control = self.model.control
+        return MarkerGains(
+            k=control.k, k_omega=control.k_omega, b_th=control.b_th, side_m=self.model.markers.side_m
+        )
+
     @property
     def clock_limits(self) -> ClockLimits:
         """Limits beyond which another process's clock is not trusted."""
@@ -188,13 +211,10 @@ class Lab:
         """
         self.robot(robot_id)
         control, limits = self.model.control, self.model.limits
-        law = MarkerGains(
-            k=control.k, k_omega=control.k_omega, b_th=control.b_th, side_m=self.model.markers.side_m
-        )
         return RobotCore(
             robot_id,
             list(range(len(self.model.cameras))),
-            law,
+            self.make_law(),
             self.wheels,
             RobotLimits(self.speed_limits, goal_timeout_s=limits.goal_timeout_s, unseen_s=limits.unseen_s),
             side_m=self.model.markers.side_m,

@@ -1,0 +1,346 @@
+"""Consistency of a unit's images with the motion that it commands.
+
+A camera may freeze, lag or replay old images while its time stamps stay fresh. The unit would then steer
+robots by places that they have left. It knows its own commands, the robots' law and their top speed. An image
+in which nothing moves although robots must, or in which most robots jump, contradicts them.
+
+The check has two states:
+
+- *Trusted*: the unit sends goals, bodies and reports. It suspects the camera if a robot that must have moved
+  by `MOVED_SIDES` is within `STILL_SIDES`, with the whole image. It also does so if a neighbour's images show
+  such a motion and its own do not, or if half of the robots jump further than they can drive.
+- *Suspected*: the unit sends nothing and holds its position. It trusts the camera again once the image has
+  changed, and its own robots have then stood still for `STEADY_S`.
+
+A suspected unit sends no goals, so that its own robots stop. A delayed camera shows that only after its
+delay. The unit therefore trusts it only when its images are up to date again. docs/bodies.md lists the faults
+that cannot be detected.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+
+import numpy as np
+
+from skyherd.control.avoidance.speed_bound import AvoidanceRule
+from skyherd.control.formation.similarity import fit_similarity
+from skyherd.control.robots.unicycle import RobotLaw
+from skyherd.errors import DegenerateSetError
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex
+from skyherd.messages import Detections, MotionGoals, Proximity, UnitReport, among, find_rows
+from skyherd.messages.checks import check_numbers
+
+MOVED_SIDES = 0.1
+"""Commanded motion after which a robot must be seen to move, marker sides. Chosen: at `MIN_PACE_SIDES_PS` it
+takes 0.5 s, half of the time in which a frozen camera must be detected."""
+
+STILL_SIDES = 0.02
+"""Motion in the image up to which a robot stands still, marker sides. Chosen: a fifth of `MOVED_SIDES`, which
+one of 10,000 robots falls below (docs/bodies.md), and above the noise of a marker's centre, 0.003 sides."""
+
+MIN_PACE_SIDES_PS = 0.2
+"""Minimum commanded pace that counts, marker sides per second. Chosen: above the dead zones of wheels, so
+that a robot that stops short of its goal does not count."""
+
+JUMP_SIDES = 1.0
+"""Motion between two images, beyond the robots' top speed, above which they jump, marker sides. Chosen: above
+the distortion between two images of a swaying, tilted camera."""
+
+JUMPING = 0.5
+"""Minimum share of robots that jump at a fault. Chosen: single robots may be carried or misread."""
+
+MIN_JUMPERS = 5
+"""Minimum number of robots for the detection of jumps. Chosen: with fewer, one misread marker moves the
+fit."""
+
+MAX_GAP_S = 1.0
+"""Maximum time between two images that are compared, s. Chosen: robots forget their goals before."""
+
+STEADY_S = 1.0
+"""Time for which robots without goals must stand still before the camera is trusted again, s. Chosen: twice
+the time in which a robot forgets its goal."""
+
+STEADY_SIDES = 0.15
+"""Relative motion up to which robots stand still while the camera is suspected, marker sides. Chosen: above
+the distortion between images of a swaying camera; a robot at `MIN_PACE_SIDES_PS` exceeds it within
+`STEADY_S`."""
+
+RESPONSIVE = 0.2
+"""Share of the commanded motion below which a robot does not respond. Derived: the quotient of `STILL_SIDES`
+and `MOVED_SIDES`."""
+
+
+@dataclass(frozen=True)
+class CameraRule:
+    """The robots' response to goals, as units know it.
+
+    Attributes:
+        law: speed law of the robots.
+        side_m: side of the markers.
+        max_speed_mps: top speed of the robots.
+        lag_s: maximum time from an image to the visible effect of its goals.
+        avoidance: the robots' bound on approach speeds; None without avoidance.
+    """
+
+    law: RobotLaw
+    side_m: float
+    max_speed_mps: float
+    lag_s: float = 0.4
+    avoidance: AvoidanceRule | None = None
+
+    def __post_init__(self) -> None:
+        check_numbers(self, positive=("side_m", "max_speed_mps"), not_negative=("lag_s",))
+
+    def paces(self, goals: MotionGoals, proximity: Proximity | None) -> Array:
+        """Return minimum paces (N,), marker sides per second, at which robots follow their goals.
+
+        Near other bodies a robot may drive at the smallest of the bounds on its approach speeds.
+        """
+        lengths = goals.rho_px if self.law.needs_distances else goals.rho_px / goals.sides_px
+        speeds_mps = np.minimum(np.abs(self.law.speed_mps(lengths)), self.max_speed_mps)
+        if self.avoidance is not None:
+            speeds_mps = np.minimum(speeds_mps, self._allowed_mps(goals.ids, proximity, self.avoidance))
+        return np.asarray(speeds_mps / self.side_m)
+
+    def _allowed_mps(self, ids: IntArray, proximity: Proximity | None, avoidance: AvoidanceRule) -> Array:
+        """Return speeds (N,), m/s, that the bodies near robots (N,) allow in every direction."""
+        allowed = np.zeros(ids.size)
+        if proximity is None:
+            return allowed
+        allowed[:] = np.inf
+        gaps_m = (proximity.distances_sides - proximity.reaches_sides) * self.side_m
+        # Twice the nominal age: some messages are lost.
+        ages_s = np.full(gaps_m.size, 2 * avoidance.nominal_age_s)
+        limits_mps = avoidance.limit_mps(proximity.shares * np.maximum(gaps_m, 0.0), ages_s)
+        order = np.argsort(ids)
+        rows, found = find_rows(ids[order], proximity.robot_ids)
+        np.minimum.at(allowed, order[rows[found]], limits_mps[found])
+        return allowed
+
+
+@dataclass(frozen=True)
+class _View:
+    """Places of the team in one image.
+
+    Attributes:
+        time_s: time of the image.
+        points_px: (N,) places, `u + iv`; 0 if not seen.
+        seen: (N,) mask of the robots seen.
+        side_px: median side of the markers, px.
+    """
+
+    time_s: float
+    points_px: ComplexArray
+    seen: BoolArray
+    side_px: float
+
+    def moved_sides(self, before: "_View") -> Array:
+        """Return the motion (N,) in the image since another one, marker sides; 0 if not seen in both."""
+        both = self.seen & before.seen
+        return np.where(both, np.abs(self.points_px - before.points_px), 0.0) / self.side_px
+
+    def relative_sides(self, before: "_View", use: BoolArray) -> Array:
+        """Return the motion (N,), marker sides, of the robots in `use` relative to each other; else 0.
+
+        The motion of the camera is removed as a similarity, fitted again without the quarter of the robots
+        that deviate most. Up to two robots are compared in the image itself.
+        """
+        moved = np.zeros(self.seen.size)
+        both = np.flatnonzero(self.seen & before.seen & use)
+        source, target = before.points_px[both], self.points_px[both]
+        if both.size <= 2:
+            moved[both] = np.abs(target - source)
+        else:
+            residuals = _residuals(source, target, np.ones(both.size, dtype=bool))
+            keep = residuals <= np.sort(residuals)[-1 - both.size // 4]
+            moved[both] = _residuals(source, target, keep)
+        return np.asarray(moved / self.side_px)
+
+
+def _residuals(source: ComplexArray, target: ComplexArray, keep: BoolArray) -> Array:
+    """Return distances (N,) of targets (N,) from sources (N,) under the similarity of those in `keep`."""
+    try:
+        return np.abs(target - fit_similarity(source[keep], target[keep])(source))
+    except DegenerateSetError:
+        return np.abs(target - source)
+
+
+class CameraCheck:
+    """Monitor of one unit's images; one instance per unit.
+
+    Attributes:
+        suspicion: reason why the camera is suspected; empty while it is trusted.
+
+    Args:
+        rule: the robots' response to goals.
+        ids: (N,) the team, ascending.
+    """
+
+    def __init__(self, rule: CameraRule, ids: IntArray) -> None:
+        self.suspicion = ""
+        self._rule, self._ids = rule, ids
+        self._last: _View | None = None
+        self._still: _View | None = None
+        self._trial: _View | None = None
+        self._others: dict[int, UnitReport] = {}
+        self._paces: deque[tuple[float, Array]] = deque()
+        self._idle = np.zeros(ids.size, dtype=bool)
+        self._frozen: _View | None = None
+
+    def reset(self) -> None:
+        """Trust the camera, as at the start."""
+        self.suspicion, self._frozen = "", None
+        self._last = self._still = self._trial = None
+        self._paces.clear()
+
+    def look(self, detections: Detections, reports: Sequence[UnitReport]) -> str:
+        """Judge an image, and return the reason why the camera is suspected, or an empty string.
+
+        Args:
+            detections: markers of the image as detected, in the team's time.
+            reports: recent reports of the other units.
+        """
+        view = self._view(detections)
+        if view is None:
+            return self.suspicion
+        last, self._last = self._last, view
+        if last is None or not 0 < view.time_s - last.time_s <= MAX_GAP_S:
+            self._still, self._trial = view, view
+            self._others.clear()
+            return self.suspicion
+        if self.suspicion:
+            self._look_again(view, last, reports)
+        else:
+            self.suspicion = self._contradiction(view, last, reports)
+            self._frozen = view if self.suspicion else None
+        return self.suspicion
+
+    def command(
+        self,
+        goals: MotionGoals | None,
+        proximity: Proximity | None,
+        reports: Sequence[UnitReport],
+        obeying_ids: AbstractSet[int] | None = None,
+    ) -> None:
+        """Record the goals sent after the last image.
+
+        Args:
+            goals: the goals; None if none were sent.
+            proximity: the bodies reported to the robots.
+            reports: recent reports of the other units; a robot that they control too does not count.
+            obeying_ids: robots that follow goals now; all if None.
+        """
+        if self._last is None:
+            return
+        paces = np.zeros(self._ids.size)
+        if goals is not None:
+            rows = self._ids.searchsorted(goals.ids)
+            paces[rows] = self._rule.paces(goals, proximity)
+            paces[self._shared(reports)] = 0.0
+            if obeying_ids is not None:
+                paces[~among(self._ids, obeying_ids)] = 0.0
+            paces[paces < MIN_PACE_SIDES_PS] = 0.0
+        self._paces.append((self._last.time_s, paces))
+        starts_s = [image.time_s for image in (self._still, self._trial) if image is not None]
+        while len(self._paces) > 1 and self._paces[1][0] <= min(starts_s):
+            self._paces.popleft()
+
+    def _view(self, detections: Detections) -> _View | None:
+        """Return the places of the team in an image; None without robots."""
+        rows, known = find_rows(self._ids, detections.ids)
+        known &= ~detections.repeated
+        if not known.any():
+            return None
+        points_px, seen = np.zeros(self._ids.size, dtype=np.complex128), np.zeros(self._ids.size, dtype=bool)
+        points_px[rows[known]] = to_complex(detections.centers_px[known])
+        seen[rows[known]] = True
+        return _View(detections.time_s, points_px, seen, float(np.median(detections.sides_px[known])))
+
+    def _shared(self, reports: Sequence[UnitReport]) -> BoolArray:
+        """Return the mask (N,) of the robots that other units control."""
+        return among(self._ids, frozenset().union(*(report.controlled for report in reports)))
+
+    def _commanded_sides(self, since_s: float, until_s: float) -> Array:
+        """Return the minimum commanded motions (N,), marker sides, of goals of a time span."""
+        total = np.zeros(self._ids.size)
+        ends_s = [*(time_s for time_s, _ in self._paces), np.inf][1:]
+        for (time_s, paces), end_s in zip(self._paces, ends_s, strict=True):
+            total += paces * max(min(end_s, until_s, time_s + MAX_GAP_S) - max(time_s, since_s), 0.0)
+        return total
+
+    def _contradiction(self, view: _View, last: _View, reports: Sequence[UnitReport]) -> str:
+        """Return how an image contradicts the commands or the neighbours' images, or an empty string."""
+        still, trial = self._still or view, self._trial or view
+        if self._jumps(view, last):
+            return "robots jump in the image; the camera may repeat old images"
+        if not (view.seen & still.seen).any() or (view.moved_sides(still) > STILL_SIDES).any():
+            self._still = view
+            self._others.clear()
+            self._judge_robots(view, trial)
+            return ""
+        due_s = view.time_s - self._rule.lag_s
+        must = self._commanded_sides(still.time_s, due_s) >= MOVED_SIDES
+        if (must & ~self._idle & view.seen & still.seen).any():
+            return "no robot moves in the image, although robots were sent goals; the camera may be frozen"
+        if any(self._moves_for(report, view, still) for report in reports):
+            return "no robot moves in the image, but in another unit's; the camera may be frozen"
+        return ""
+
+    def _jumps(self, view: _View, last: _View) -> bool:
+        """Return whether most robots moved further between two images than they can drive."""
+        both = view.seen & last.seen
+        if np.count_nonzero(both) < MIN_JUMPERS:
+            return False
+        reach = JUMP_SIDES + self._rule.max_speed_mps / self._rule.side_m * (view.time_s - last.time_s)
+        jumps = view.relative_sides(last, both)[both] > reach
+        return bool(np.mean(jumps) >= JUMPING)
+
+    def _judge_robots(self, view: _View, trial: _View) -> None:
+        """Find the robots that do not respond to goals, in images that show motion."""
+        if view.time_s - trial.time_s < MAX_GAP_S:
+            return
+        commanded = self._commanded_sides(trial.time_s, view.time_s - self._rule.lag_s)
+        tried = (commanded >= MOVED_SIDES) & view.seen & trial.seen
+        moved = view.relative_sides(trial, np.ones(tried.size, dtype=bool))
+        self._idle[tried] = moved[tried] < RESPONSIVE * commanded[tried]
+        self._trial = view
+
+    def _moves_for(self, report: UnitReport, view: _View, still: _View) -> bool:
+        """Return whether another unit saw robots of this image move relative to each other while it stood."""
+        first = self._others.setdefault(report.unit_id, report)
+        if first.time_s < still.time_s:
+            self._others[report.unit_id] = report
+            return False
+        theirs, ours = self._reported(report), self._reported(first)
+        common = theirs.seen & ours.seen & view.seen
+        if np.count_nonzero(common) <= 2:
+            return False
+        try:
+            scale = fit_similarity(ours.points_px[common], view.points_px[common]).scale
+        except DegenerateSetError:
+            return False
+        moved = np.sort(theirs.relative_sides(ours, common)) * scale / view.side_px
+        return bool(moved[-2] >= MOVED_SIDES)
+
+    def _reported(self, report: UnitReport) -> _View:
+        """Return the places of a report, with lengths in pixels."""
+        points_px, seen = np.zeros(self._ids.size, dtype=np.complex128), np.zeros(self._ids.size, dtype=bool)
+        rows, known = find_rows(self._ids, report.ids)
+        points_px[rows[known]], seen[rows[known]] = to_complex(report.points_px)[known], True
+        return _View(report.time_s, points_px, seen, 1.0)
+
+    def _look_again(self, view: _View, last: _View, reports: Sequence[UnitReport]) -> None:
+        """Trust the camera again once its image has changed and its own robots have stood still since."""
+        if self._frozen is not None:
+            if not (view.moved_sides(self._frozen) > STILL_SIDES).any():
+                return
+            self._frozen, self._still = None, view
+        own = ~self._shared(reports)
+        moves = (view.relative_sides(self._still or view, own) > STEADY_SIDES).any()
+        if moves or self._jumps(view, last):
+            self._still = view
+        elif self._still is not None and view.time_s - self._still.time_s >= STEADY_S:
+            self.reset()
+            self._last = self._still = self._trial = view

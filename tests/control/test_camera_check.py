@@ -1,0 +1,249 @@
+"""A unit suspects a frozen, late or replayed camera by its own commands, and no other camera."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skyherd.control import AerialController, CameraRule, Hover, MarkerGains, SafetyRadius, Template
+from skyherd.control.camera_check import (
+    MIN_PACE_SIDES_PS,
+    STEADY_S,
+    STILL_SIDES,
+    CameraCheck,
+)
+from skyherd.messages import MotionGoals
+
+pytestmark = pytest.mark.smoke
+
+SIDE_PX, SIDE_M, FRAME_S, LAG_S, TIMEOUT_S = 20.0, 0.4, 0.1, 0.4, 0.5
+IDS = np.arange(8)
+RULE = CameraRule(MarkerGains(1.0, 2.0, 0.0, SIDE_M), side_m=SIDE_M, max_speed_mps=1.2, lag_s=LAG_S)
+
+
+class Scene:
+    """Robots that drive straight along the goals of one unit, which a camera sees.
+
+    Args:
+        make_detections: fixture.
+        rng: draws starts, noise and losses.
+        noise_sides: standard deviation of detected centres.
+        loss: share of lost goals.
+        latency_s: time from an image to the effect of its goals.
+    """
+
+    def __init__(self, make_detections, rng, *, noise_sides=0.003, loss=0.0, latency_s=0.0):
+        self.make_detections, self.rng = make_detections, rng
+        self.noise_sides, self.loss, self.latency_s = noise_sides, loss, latency_s
+        self.check = CameraCheck(RULE, IDS)
+        self.sides = 6 * (rng.normal(size=IDS.size) + 1j * rng.normal(size=IDS.size))
+        self.goals = self.sides.copy()
+        self.broken = np.zeros(IDS.size, dtype=bool)
+        self.time_s, self.images, self.view = 0.0, [], lambda points: points
+        self.orders = [(-np.inf, np.zeros(IDS.size, dtype=complex))]
+        self.heard_s = np.full(IDS.size, -np.inf)
+
+    def image(self):
+        """Return the present image."""
+        noise = self.noise_sides * (self.rng.normal(size=(IDS.size, 2)) @ [1, 1j])
+        points = self.view(400 + 400j + SIDE_PX * (self.sides + noise))
+        return self.make_detections(IDS, points, sides=np.full(IDS.size, SIDE_PX), time_s=self.time_s)
+
+    def step(self, shown=None, reports=(), obeying=None):
+        """Take an image, show another one instead if given, and move the robots; return the suspicion."""
+        self.images.append(self.image())
+        seen = self.images[-1] if shown is None else replace(shown, time_s=self.time_s)
+        suspicion = self.check.look(seen, reports)
+        if not suspicion:
+            places = (seen.centers_px @ [1, 1j] - 400 - 400j) / SIDE_PX
+            rho = self.goals - places
+            self.check.command(self.message(rho), None, reports, obeying)
+            self.orders.append((self.time_s + self.latency_s, rho))
+        heard, velocity = self.rng.random(IDS.size) >= self.loss, np.zeros(IDS.size, dtype=complex)
+        due = [order for at_s, order in self.orders if at_s <= self.time_s + 1e-9]
+        is_new = bool(self.orders[-1][0] + FRAME_S > self.time_s)
+        self.heard_s[heard & is_new] = self.time_s
+        obeys = (self.time_s - self.heard_s <= TIMEOUT_S) & ~self.broken
+        velocity[obeys] = due[-1][obeys]
+        pace = np.maximum(np.abs(velocity), 1e-12)
+        self.sides += velocity * np.minimum(1.0, 3.0 / pace) * FRAME_S
+        self.time_s += FRAME_S
+        return suspicion
+
+    def message(self, rho):
+        """Return goals with vectors (N,), marker sides."""
+        none = np.zeros((IDS.size, 0))
+        sides = np.full(IDS.size, SIDE_PX)
+        lengths = np.abs(rho) * SIDE_PX
+        return MotionGoals(0, self.time_s, IDS, lengths, np.angle(rho), sides, none.astype(int), none)
+
+    def run(self, seconds, **options):
+        """Step for a time; return the times, from now, at which the camera was suspected."""
+        start_s = self.time_s
+        found = []
+        for _ in range(round(seconds / FRAME_S)):
+            at_s = self.time_s - start_s
+            found += [at_s] if self.step(**options) else []
+        return np.array(found)
+
+
+@pytest.fixture
+def scene(make_detections):
+    """Return a scene whose robots have arrived."""
+    return Scene(make_detections, np.random.default_rng(3))
+
+
+class TestFrozen:
+    @pytest.mark.parametrize("pace", [MIN_PACE_SIDES_PS * 1.01, 0.5, 3.0])
+    def test_suspected_within_one_second_of_commanded_motion(self, scene, pace) -> None:
+        assert not scene.run(2.0).size
+        scene.goals = scene.goals + pace / RULE.law.k
+        frozen = scene.image()
+        found = scene.run(2.0, shown=frozen)
+        assert found.size and found[0] <= 1.0 + FRAME_S / 2
+
+    def test_not_suspected_while_robots_are_at_rest(self, scene) -> None:
+        scene.run(1.0)
+        assert not scene.run(10.0, shown=scene.image()).size
+
+    def test_not_suspected_below_stated_pace(self, scene) -> None:
+        scene.run(1.0)
+        scene.goals = scene.goals + 0.95 * MIN_PACE_SIDES_PS / RULE.law.k
+        assert not scene.run(10.0, shown=scene.image()).size
+
+    @pytest.mark.parametrize("who", ["shared", "not obeying"])
+    def test_robots_that_may_obey_others_do_not_count(self, scene, make_report, who) -> None:
+        scene.run(1.0)
+        scene.goals = scene.goals + 5.0
+        report = make_report(1, [], [], IDS)
+        options = {"reports": [report]} if who == "shared" else {"obeying": frozenset()}
+        assert not scene.run(5.0, shown=scene.image(), **options).size
+
+    def test_trusted_again_once_image_is_live_and_still(self, scene) -> None:
+        scene.run(1.0)
+        scene.goals = scene.goals + 5.0
+        scene.run(3.0, shown=scene.image())
+        assert scene.check.suspicion
+        found = scene.run(3.0)
+        assert STEADY_S - FRAME_S <= found[-1] <= STEADY_S + 3 * FRAME_S
+        scene.run(10.0)
+        np.testing.assert_allclose(scene.sides, scene.goals, atol=0.05)
+
+    def test_suspicion_lasts_while_image_is_frozen(self, scene) -> None:
+        scene.run(1.0)
+        scene.goals = scene.goals + 5.0
+        frozen = scene.image()
+        scene.run(2.0, shown=frozen)
+        assert scene.run(20.0, shown=frozen).size == 200
+
+    def test_reset_trusts_and_judges_again(self, scene) -> None:
+        scene.run(1.0)
+        scene.goals = scene.goals + 5.0
+        frozen = scene.image()
+        scene.run(2.0, shown=frozen)
+        scene.check.reset()
+        found = scene.run(2.0, shown=frozen)
+        assert 0.4 < found[0] <= 1.0
+
+
+class TestLate:
+    def test_drives_only_while_the_image_is_current(self, scene) -> None:
+        """The unit stops until the late image shows the last motion. It then steers by a true image."""
+        scene.run(1.0)
+        scene.goals = scene.goals + 20.0
+        delay = 30
+        errors = []
+        for _ in range(600):
+            late = scene.images[max(len(scene.images) - delay, 9)]
+            was = scene.check.suspicion
+            true_px, shown_px = scene.image().centers_px, late.centers_px
+            if not scene.step(shown=late) and was:
+                errors.append(np.abs(true_px - shown_px).max() / SIDE_PX)
+        assert len(errors) >= 3
+        assert max(errors) < 0.2
+
+
+class TestReplayed:
+    def test_jump_to_old_images_is_suspected_at_once(self, scene) -> None:
+        scene.goals = scene.goals + 4 * np.exp(2j * IDS)
+        scene.run(3.0)
+        assert scene.step(shown=scene.images[0]).startswith("robots jump")
+
+    def test_single_carried_robot_is_no_fault(self, scene) -> None:
+        scene.run(1.0)
+        scene.sides[2] += 8.0
+        assert not scene.step()
+
+    @pytest.mark.parametrize("turn_rad", [0.3, 3.0])
+    def test_moving_camera_is_no_fault(self, scene, turn_rad) -> None:
+        scene.run(1.0)
+        scene.view = lambda points: 1.3 * np.exp(1j * turn_rad) * (points - 380) + 420
+        assert not scene.step()
+
+
+class TestHealthy:
+    @pytest.mark.parametrize("seed", range(8))
+    def test_never_suspected_with_noise_loss_and_latency(self, make_detections, seed) -> None:
+        scene = Scene(
+            make_detections, np.random.default_rng(seed), noise_sides=0.004, loss=0.3, latency_s=0.3
+        )
+        for _ in range(5):
+            scene.goals = scene.sides + 4 * (scene.rng.normal(size=(IDS.size, 2)) @ [1, 1j])
+            assert not scene.run(4.0).size
+
+    def test_broken_robot_is_not_taken_for_a_frozen_camera(self, scene) -> None:
+        """It is the last robot with a goal, and nothing moves in the image."""
+        scene.broken[3] = True
+        scene.goals = scene.goals + 4 * np.exp(2j * IDS)
+        assert not scene.run(15.0).size
+
+    def test_repaired_robot_counts_again(self, scene) -> None:
+        scene.broken[:] = IDS == 3
+        scene.goals = scene.goals + 4 * np.exp(2j * IDS)
+        scene.run(8.0)
+        scene.broken[:] = False
+        scene.run(8.0)
+        scene.goals[3] += 5.0
+        assert scene.run(2.0, shown=scene.image()).size
+
+
+class TestNeighbors:
+    def reports(self, scene, make_report, sides, time_s):
+        """Return a neighbour's report, in its own scale and direction."""
+        points = 300 + 200j + 33 * np.exp(1j) * sides
+        return [replace(make_report(1, IDS, points, IDS), time_s=time_s)]
+
+    def watch(self, scene, make_report, move):
+        """Show one image for 2 s, with reports in which robots move by `move(t)` sides; return suspicions."""
+        frozen, start_s, found = scene.image(), scene.time_s, []
+        for _ in range(20):
+            sides = scene.sides + move(scene.time_s - start_s)
+            reports = self.reports(scene, make_report, sides, scene.time_s)
+            found.append(scene.step(shown=frozen, reports=reports))
+        return found
+
+    def test_motion_in_neighbors_image_alone_is_suspected(self, scene, make_report) -> None:
+        found = self.watch(scene, make_report, lambda t: 0.5 * t * np.exp(2j * IDS))
+        assert "another unit's" in found[-1]
+        assert sum(map(bool, found)) >= 15
+
+    @pytest.mark.parametrize("move", [lambda t: 0.0, lambda t: 0.5 * t, lambda t: 0.5 * t * (IDS == 2)])
+    def test_neighbors_camera_or_one_marker_moves(self, scene, make_report, move) -> None:
+        assert not any(self.watch(scene, make_report, move))
+
+
+def test_still_threshold_exceeds_noise_of_centers() -> None:
+    """The difference of two centres of 14 px markers at noise 2 has a deviation below 0.1 px: 0.007 sides."""
+    assert STILL_SIDES > 2 * 0.007
+
+
+def test_suspecting_controller_sends_nothing(make_detections) -> None:
+    points = 400 + 400j + 100 * np.exp(1j * np.arange(4))
+    template = Template(np.arange(4), np.array([0, 1, 1 + 1j, 2j]) * 50)
+    unit = AerialController(template, SafetyRadius(radius=1.5), Hover(0.5), camera=RULE)
+    decisions = [unit.step(make_detections(np.arange(4), points, time_s=0.1 * n)) for n in range(20)]
+    assert decisions[0].goals is not None and decisions[0].flight.yaw_rate_radps == 0.5
+    last = decisions[-1]
+    assert last.suspicion and last.goals is None and last.proximity is None
+    assert last.flight.yaw_rate_radps == 0.0 and not last.flight.lateral_mps.any()
+    assert not last.report.controlled_ids.size and last.report.ids.tolist() == [0, 1, 2, 3]

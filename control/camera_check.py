@@ -38,7 +38,7 @@ takes 0.5 s, half of the time in which a frozen camera must be detected."""
 
 STILL_SIDES = 0.02
 """Motion in the image up to which a robot stands still, marker sides. Chosen: a fifth of `MOVED_SIDES`, which
-one of 10,000 robots falls below (docs/bodies.md), and above the noise of a marker's centre, 0.003 sides."""
+1.3 % of driving robots fall below (docs/bodies.md), and above the noise of a centre, 0.003 sides."""
 
 MIN_PACE_SIDES_PS = 0.2
 """Minimum commanded pace that counts, marker sides per second. Chosen: above the dead zones of wheels, so
@@ -66,6 +66,10 @@ STEADY_SIDES = 0.15
 """Relative motion up to which robots stand still while the camera is suspected, marker sides. Chosen: above
 the distortion between images of a swaying camera; a robot at `MIN_PACE_SIDES_PS` exceeds it within
 `STEADY_S`."""
+
+TRIAL_S = 1.0
+"""Time, beyond the lag, in which a robot is judged by its response, s. Chosen: it moves by 0.2 sides at
+`MIN_PACE_SIDES_PS`."""
 
 RESPONSIVE = 0.2
 """Share of the commanded motion below which a robot does not respond. Derived: the quotient of `STILL_SIDES`
@@ -299,7 +303,7 @@ class CameraCheck:
 
     def _judge_robots(self, view: _View, trial: _View) -> None:
         """Find the robots that do not respond to goals, in images that show motion."""
-        if view.time_s - trial.time_s < MAX_GAP_S:
+        if view.time_s - trial.time_s < TRIAL_S + self._rule.lag_s:
             return
         commanded = self._commanded_sides(trial.time_s, view.time_s - self._rule.lag_s)
         tried = (commanded >= MOVED_SIDES) & view.seen & trial.seen

@@ -24,6 +24,73 @@ CEILING = 0.1
 """A unit that could climb by less than this share of its height is at its ceiling. Chosen: it approaches the
 ceiling in ever smaller steps, and would gain at most 10 % of view."""
 
+VAIN_CLIMB_M = 1.0
+"""Commanded climb without effect after which a unit is at its ceiling, m. Chosen: it changes the scale by
+`VAIN_CHANGE` or more below a height of 100 m."""
+
+VAIN_CLIMB_S = 2.0
+"""Minimum time of such a climb, s. Chosen: longer than an autopilot takes to reach its climb rate."""
+
+VAIN_CHANGE = 0.01
+"""Decrease of the markers' sides below which a climb has no effect, as a share. Chosen: five times the error
+of the median side of some markers of 20 px."""
+
+MAX_PERIODS = 1.5
+"""Time after an image for which a climb is taken to last, in shortest times between two images. Chosen: a
+unit may have held its position in a longer gap."""
+
+CEILING_LIFE_S = 60.0
+"""Time for which a unit remembers its ceiling, s. Chosen: ten times the climb that tests it again."""
+
+
+class LearnedCeiling:
+    """Scale of a unit's image at its ceiling, learned from a commanded climb that changes no scale.
+
+    A unit knows neither its height nor the hall's. Its markers' sides shrink as it climbs or zooms out. If
+    they do not, it is as high as it can be. The ceiling is tested again after `CEILING_LIFE_S`: it may be
+    higher elsewhere.
+
+    Attributes:
+        side_px: smallest median side of the markers at the ceiling; 0 if no ceiling is known.
+    """
+
+    def __init__(self) -> None:
+        self.side_px = 0.0
+        self._learned_s = 0.0
+        self._climb_mps = self._climbed_m = 0.0
+        self._start: Detections | None = None
+        self._last_s, self._period_s = -np.inf, np.inf
+
+    def look(self, seen: Detections, side_px: float) -> None:
+        """Update the ceiling with an image and the median side of its markers."""
+        passed_s, self._last_s = seen.time_s - self._last_s, seen.time_s
+        if passed_s > 0:
+            # A unit that held its position in between did not call the law. It has not climbed all the time.
+            self._period_s = min(self._period_s, passed_s)
+            self._climbed_m += self._climb_mps * min(passed_s, MAX_PERIODS * self._period_s, VAIN_CLIMB_S / 2)
+        if self.side_px:
+            self.side_px = min(self.side_px, side_px)
+            if seen.time_s - self._learned_s >= CEILING_LIFE_S:
+                self.side_px, self._start = 0.0, None
+            return
+        change = np.nan if self._start is None else _scale_change(self._start, seen)
+        if self._start is None or not abs(change) < VAIN_CHANGE:
+            self._start, self._climbed_m = seen, 0.0
+        elif self._climbed_m >= VAIN_CLIMB_M and seen.time_s - self._start.time_s >= VAIN_CLIMB_S:
+            self.side_px, self._learned_s = side_px, seen.time_s
+
+    def command(self, climb_mps: float) -> None:
+        """Record the climb commanded until the next image. Without a climb, the test begins again."""
+        self._climb_mps = climb_mps
+        if climb_mps <= 0:
+            self._start = None
+
+
+def _scale_change(before: Detections, now: Detections) -> float:
+    """Return the relative change of the markers' sides between two images; NaN without common markers."""
+    _, one, two = np.intersect1d(before.ids, now.ids, return_indices=True)
+    return float(np.median(now.sides_px[two] / before.sides_px[one])) - 1 if one.size else np.nan
+
 
 @dataclass
 class KeepInView(FlightLaw):
@@ -38,9 +105,9 @@ class KeepInView(FlightLaw):
       climbs.
     - Sought robots count as well. They move the unit laterally only while the set itself is within the
       radius: below a ceiling it may be unable to keep both in view.
-    - If markers would become too small for the required view, the unit patrols. It flies to the robot unseen
-      for longest, until it has seen that robot for `patrol_s`, then to the next. It must see enough others to
-      know its position.
+    - If the unit cannot climb, or if markers would become too small for the required view, it patrols. It
+      flies to the robot unseen for longest, until it has seen that robot for `patrol_s`, then to the next. It
+      must see enough others to know its position.
     - A unit without robots keeps all visible robots in view and climbs to see more.
     - Units that come too close move apart, measured between image centres in marker sides.
     - Of several units with the same set, only the first moves.
@@ -70,6 +137,7 @@ class KeepInView(FlightLaw):
     min_side_px: float = 12.0
     patrol_s: float = 4.0
     memory: ImageMemory = field(init=False)
+    ceiling: LearnedCeiling = field(default_factory=LearnedCeiling, init=False)
     _side_px: float = field(default=np.inf, init=False)
     _target: int = field(default=NO_ID, init=False)
     _target_seen_s: float = field(default=0.0, init=False)
@@ -87,19 +155,21 @@ class KeepInView(FlightLaw):
         self.memory.update(seen, reports)
         if len(seen):
             self._side_px = float(np.sort(seen.sides_px)[len(seen) // 2])
+            self.ceiling.look(seen, self._side_px)
         command = self._follow(seen, task, reports)
-        if not task.widen:
-            return command
-        more = min(self.desired_radius / 2, self._room)
-        return replace(
-            command,
-            climb_mps=max(command.climb_mps, self.climb_gain_mps * more),
-            zoom_rate_ps=min(command.zoom_rate_ps, -self.zoom_gain_ps * more),
-        )
+        if task.widen:
+            more = min(self.desired_radius / 2, self._room)
+            command = replace(
+                command,
+                climb_mps=max(command.climb_mps, self.climb_gain_mps * more),
+                zoom_rate_ps=min(command.zoom_rate_ps, -self.zoom_gain_ps * more),
+            )
+        self.ceiling.command(command.climb_mps)
+        return command
 
     def _follow(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
-        controlled, robots = task.controlled_ids, frozenset(task.controlled_ids.tolist())
-        if robots and any(r.controlled == robots for r in reports if r.unit_id < seen.unit_id):
+        controlled, own_set = task.controlled_ids, frozenset(task.controlled_ids.tolist())
+        if own_set and any(r.controlled == own_set for r in reports if r.unit_id < seen.unit_id):
             return FlightCommand(
                 seen.unit_id, self._away_from_others(seen), climb_mps=0.0, yaw_rate_radps=0.0
             )
@@ -146,8 +216,9 @@ class KeepInView(FlightLaw):
 
     @property
     def _room(self) -> float:
-        """Possible climb, as a share of the height, before markers are too small."""
-        return self._side_px / self.min_side_px - 1 if self.min_side_px else np.inf
+        """Possible climb, as a share of the height, before the ceiling or before markers are too small."""
+        smallest_px = max(self.min_side_px, self.ceiling.side_px)
+        return self._side_px / smallest_px - 1 if smallest_px else np.inf
 
     def _away_from_others(self, seen: Detections) -> Array:
         """Return a velocity (2,) away from units that are too close."""

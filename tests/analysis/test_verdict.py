@@ -14,6 +14,7 @@ from skyherd.sim.perception import make_run_perception
 from skyherd.vision import create_detector
 
 HOVER = "units.*.flight={kind='hover'}"
+FREEZE = "{ kind = 'freeze', start_s = 1.0, end_s = 9.0 }"
 
 
 def history_of(scenario: str, *settings: str, perception: str = "ideal", **changes: object) -> History:
@@ -42,6 +43,11 @@ CAUSES = {
         "star",
         ["duration_s=2", HOVER, "selection.radius=1.4", "units.1.position_m=[-300, 0]"],
         "unit 1 and unit 0 share no pair of robots: fewer than two robots are in view of both",
+    ),
+    "frozen camera": (
+        "triangle",
+        ["duration_s=6", f"units.0.camera.faults=[{FREEZE}]"],
+        "the images of units 0 contradicted the robots' commands",
     ),
     "speed limit": (
         "triangle",
@@ -86,6 +92,18 @@ CAUSES = {
 def test_verdict_names_cause(case: str) -> None:
     scenario, settings, words = CAUSES[case]
     assert words in explain_outcome(history_of(scenario, *settings))
+
+
+@pytest.mark.parametrize(("ceiling_m", "given"), [(4.2, True), (9.0, False)])
+def test_verdict_names_views_that_do_not_cover_shape(ceiling_m, given) -> None:
+    """One unit below a low ceiling patrols a crowd; below a high one it sees all robots."""
+    unit = f"position_m = [0, 0], height_m = {ceiling_m}, camera = {{ half_angle_deg = 35 }}"
+    settings = [
+        f"units=[{{ {unit}, frame_rate_hz = 2.5, flight = {{ kind = 'keep-in-view' }} }}]",
+        *(f"autopilot.max_height_m={ceiling_m}", "step_s=0.2", "duration_s=30", "goal.shape_error=1e-9"),
+    ]
+    said = explain_outcome(history_of("crowd", *settings))
+    assert ("robots are outside the views of their units" in said) == given
 
 
 def test_verdict_names_small_markers() -> None:

@@ -5,14 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyherd.control import AerialController, CameraRule, Hover, MarkerGains, SafetyRadius, Template
+from skyherd.control import (
+    AerialController,
+    AvoidanceRule,
+    CameraRule,
+    Hover,
+    MarkerGains,
+    PixelGains,
+    SafetyRadius,
+    Template,
+    Wheels,
+)
 from skyherd.control.camera_check import (
     MIN_PACE_SIDES_PS,
     STEADY_S,
     STILL_SIDES,
     CameraCheck,
 )
-from skyherd.messages import MotionGoals
+from skyherd.messages import MotionGoals, Proximity
 
 pytestmark = pytest.mark.smoke
 
@@ -207,6 +217,35 @@ class TestHealthy:
         assert scene.run(2.0, shown=scene.image()).size
 
 
+class TestPaces:
+    def paces(self, scene, gap_sides, *, avoids=True):
+        """Return the paces of robots of which the first has a body at a gap, with goals 1 side away."""
+        wheels = Wheels(1.2, 3.0)
+        bound = AvoidanceRule(SIDE_M, wheels, nominal_age_s=0.1, superseded_age_s=0.1, step_s=0.1)
+        rule = replace(RULE, avoidance=bound if avoids else None)
+        pair = (np.array([0]), np.array([1]), np.array([2.2 + gap_sides]), np.zeros(1))
+        near = Proximity(0, 0.0, 8.0, IDS, *pair, np.array([2.2]), np.array([0.5]))
+        return rule.paces(scene.message(np.ones(IDS.size, dtype=complex)), near)
+
+    def test_body_nearby_bounds_the_pace(self, scene) -> None:
+        """The bound is `share γ g exp(-γ (age + A))`, at an age of 0.2 s and γ = 5 /s; A = 0.1 s."""
+        paces = self.paces(scene, 0.4)
+        assert paces[0] == pytest.approx(0.5 * 5 * 0.4 * np.exp(-5 * 0.3))
+        np.testing.assert_allclose(paces[1:], 1.0)
+        assert self.paces(scene, -0.1)[0] == 0.0
+        np.testing.assert_allclose(self.paces(scene, 20.0), 1.0)
+        np.testing.assert_allclose(self.paces(scene, -0.1, avoids=False), 1.0)
+
+    def test_top_speed_bounds_the_pace(self, scene) -> None:
+        paces = RULE.paces(scene.message(np.full(IDS.size, 50.0 + 0j)), None)
+        np.testing.assert_allclose(paces, 1.2 / SIDE_M)
+
+    def test_pixel_gains_are_converted_to_sides(self, scene) -> None:
+        rule = CameraRule(PixelGains(0.01, 1.0, 0.0), side_m=SIDE_M, max_speed_mps=9.0)
+        paces = rule.paces(scene.message(np.full(IDS.size, 2.0 + 0j)), None)
+        np.testing.assert_allclose(paces, 0.01 * 2.0 * SIDE_PX / SIDE_M)
+
+
 class TestNeighbors:
     def reports(self, scene, make_report, sides, time_s):
         """Return a neighbour's report, in its own scale and direction."""
@@ -230,6 +269,15 @@ class TestNeighbors:
     @pytest.mark.parametrize("move", [lambda t: 0.0, lambda t: 0.5 * t, lambda t: 0.5 * t * (IDS == 2)])
     def test_neighbors_camera_or_one_marker_moves(self, scene, make_report, move) -> None:
         assert not any(self.watch(scene, make_report, move))
+
+    def test_late_reports_of_motion_seen_before_are_no_fault(self, scene, make_report) -> None:
+        """Robots of the neighbour stop after 1 s. Its reports are 0.5 s late."""
+        start, past = scene.sides, []
+        for tick in range(40):
+            scene.sides = scene.goals = start + min(0.1 * tick, 1.0) * np.exp(2j * IDS)
+            past.append((scene.time_s, scene.sides))
+            time_s, sides = past[max(tick - 5, 0)]
+            assert not scene.step(reports=self.reports(scene, make_report, sides, time_s))
 
 
 def test_still_threshold_exceeds_noise_of_centers() -> None:

@@ -73,6 +73,7 @@ class History:
         controlled: (T, U, N) True where unit j controls a robot: the set S_j^c.
         commanded: (T, N) True where a robot follows a goal received within `robots.timeout_s`.
         trees: the tree of units at each step, None where sets come from the safety radius alone.
+        suspected: (T, U) True where a unit suspects its camera and sends nothing.
         traces: image traces by unit.
         frames: images taken.
         whole: markers whose card was whole in an image, over all images.
@@ -107,6 +108,7 @@ class History:
     controlled: BoolArray
     commanded: BoolArray
     trees: list[TreeSnapshot | None]
+    suspected: BoolArray
     traces: list[ImageTrace]
     frames: int
     whole: int
@@ -250,6 +252,7 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
     columns = {name: np.array([attrgetter(path)(step) for step in steps]) for name, path in _COLUMNS.items()}
     frames = [frame for step in steps for frame in step.frames.values()]
     conditions = [step.metrics.conditions for step in steps]
+    units = range(len(mission.scenario.units))
     return History(
         mission=mission,
         **columns,
@@ -258,7 +261,8 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
         controlled=np.array([control_matrix(step.control_sets, mission.ids) for step in steps]),
         commanded=np.array([np.isin(mission.ids, step.commanded_ids) for step in steps]),
         trees=_trees(mission, steps),
-        traces=[_trace(mission, steps, unit) for unit in range(len(mission.scenario.units))],
+        suspected=np.array([[_suspects(step, unit) for unit in units] for step in steps]),
+        traces=[_trace(mission, steps, unit) for unit in units],
         frames=len(frames),
         whole=sum(frame.sight.whole_ids.size for frame in frames),
         found=sum(frame.sight.found_ids.size for frame in frames),
@@ -266,6 +270,11 @@ def make_history(mission: Mission, steps: Iterable[Step]) -> History:
         foreign_ids=_foreign_ids(mission, frames),
         traffic=count_traffic(mission, steps),
     )
+
+
+def _suspects(step: Step, unit: int) -> bool:
+    """Return whether a unit suspects its camera after its image of a step."""
+    return unit in step.frames and bool(step.frames[unit].decision.suspicion)
 
 
 def _trees(mission: Mission, steps: list[Step]) -> list[TreeSnapshot | None]:

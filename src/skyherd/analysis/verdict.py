@@ -22,6 +22,9 @@ MIN_DECAY = 0.02
 MIN_RECALL = 0.5
 """Share of detected markers below which detection is the cause. Chosen."""
 
+MIN_IDLE = 0.1
+"""Least share of robots without a goal near the end that counts as a cause. Chosen: above lost messages."""
+
 OFTEN = 0.5
 """Share of robots and steps from which a state counts as the usual one. Chosen."""
 
@@ -82,7 +85,8 @@ def _cause(history: History) -> str:
     """Return the first cause that applies, from what a unit sees to the motion of the robots."""
     causes: list[Callable[[History], str | None]] = []
     if history.mission.scenario.control.method == "similarity":
-        causes = [_unseen, _undetected, _out_of_range, _uncontrolled, _unshared, _stale]
+        causes = [_unseen, _undetected, _suspected, _out_of_range, _uncontrolled, _unshared]
+        causes += [_uncovered, _stale]
     causes += [_saturated, _falling, _resting, _bent]
     return next(filter(None, (cause(history) for cause in causes)), "the error no longer falls")
 
@@ -111,6 +115,14 @@ def _undetected(history: History) -> str | None:
         f"{share}, though they are {side_px:.0f} px wide; "
         f"their dictionary may not be {marker.dictionary} (marker.dictionary)"
     )
+
+
+def _suspected(history: History) -> str | None:
+    """Name the units that suspect their cameras near the end."""
+    units = np.flatnonzero(history.suspected[_last_part(history.times_s)].any(axis=0)).tolist()
+    if not units:
+        return None
+    return f"the images of units {_named(units)} contradicted the robots' commands (camera_check)"
 
 
 def _usual_side_px(history: History) -> float:
@@ -195,6 +207,20 @@ def _unshared(history: History) -> str | None:
     )
     who = "unit" if len(apart) == 1 else "units"
     return f"{who} {_named(apart)} and unit {alive[0]} share no pair of robots: {cut if seen >= 2 else few}"
+
+
+def _uncovered(history: History) -> str | None:
+    """State how many controlled robots have no goal on average, since units that patrol do not see them."""
+    if all(unit.flight.kind == "hover" for unit in history.mission.scenario.units):
+        return None
+    idle = history.controlled.any(axis=1) & ~history.commanded
+    unseen = ~views_at(history, -1).in_view.any(axis=0)
+    idle = idle[_last_part(history.times_s)]
+    if idle.mean() < MIN_IDLE or (idle[-1] & unseen).sum() < OFTEN * idle[-1].sum():
+        return None
+    many = f"on average {idle.sum(axis=1).mean():.1f} of {history.ids.size} robots"
+    advice = "a higher ceiling, another unit or a smaller shape is needed"
+    return f"{many} are outside the views of their units; {advice}"
 
 
 def _stale(history: History) -> str | None:

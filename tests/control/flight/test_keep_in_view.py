@@ -103,11 +103,12 @@ def test_flight_brings_control_set_into_view_with_margin(make_detections, seed) 
     rng = np.random.default_rng(seed)
     ground = rng.uniform(-4, 4, 8) + 1j * rng.uniform(-4, 4, 8)
     at, height = complex(ground.mean()) + complex(*rng.uniform(-1, 1, 2)), 3.0
-    flight = KeepInView(TEMPLATE, desired_radius=0.75, separation_sides=0.0)
+    flight = KeepInView(TEMPLATE, desired_radius=0.75, separation_sides=0.0, min_side_px=0.0)
     for tick in range(600):
         points = (ground - at) / height
         inside = np.maximum(np.abs(points.real), np.abs(points.imag)) < 1
-        seen = view_of(make_detections, points[inside], TEMPLATE.ids[inside], time_s=0.1 * tick)
+        sides = np.full(np.count_nonzero(inside), 60 / height)
+        seen = view_of(make_detections, points[inside], TEMPLATE.ids[inside], sides=sides, time_s=0.1 * tick)
         command = flight.command(seen, FlightTask(TEMPLATE.ids), [])
         at += 0.1 * complex(*command.lateral_mps) * height / 3
         height += 0.1 * command.climb_mps * height / 3
@@ -190,10 +191,11 @@ def test_unit_without_detections_climbs(make_detections) -> None:
     assert command.climb_mps > 0 and not command.lateral_mps.any()
 
 
-def fly_below_a_ceiling(make_detections, seconds, **settings):
+def fly_below_a_ceiling(make_detections, seconds, *, is_known=True, **settings):
     """Return the robots visible in each image for a unit at its ceiling, over a line of robots of four views.
 
-    Robots are static. A robot is visible within half an image of the unit's position.
+    Robots are static. A robot is visible within half an image of the unit's position. The unit knows its
+    ceiling as the minimum side of markers, or must learn it.
     """
     ground = np.array([-2.4, -2.0, -1.2, -0.6, 0.0, 0.3, 1.1, 1.9])
     flight = KeepInView(TEMPLATE, separation_sides=0.0, **settings)
@@ -206,7 +208,7 @@ def fly_below_a_ceiling(make_detections, seconds, **settings):
             away[ids],
             ids,
             time_s=0.2 * tick,
-            sides=np.full(ids.size, flight.min_side_px),
+            sides=np.full(ids.size, 12.0 if is_known else 40.0),
         )
         command = flight.command(seen, FlightTask(np.arange(8)), [])
         place += 0.2 * float(command.lateral_mps[0])
@@ -232,3 +234,88 @@ def test_unit_at_ceiling_without_patrol_misses_robots(make_detections) -> None:
     """Negative control: with an infinite patrol time robots at the ends are never seen."""
     views = fly_below_a_ceiling(make_detections, 120.0, patrol_s=1e9)
     assert len({robot for ids in views[100:] for robot in ids.tolist()}) < 8
+
+
+class TestLearnedCeiling:
+    """Robots lie in a ring that exceeds the view. The unit's height follows its command up to a ceiling."""
+
+    def fly(self, make_detections, seconds, *, ceiling=np.inf, noise=0.0, start=4.0, later=None, **settings):
+        """Return the flight law, and (time, height, climb, side at the ceiling) of each image."""
+        rng = np.random.default_rng(4)
+        ground = 20.0 * np.exp(2j * np.pi * np.arange(8) / 8)
+        ground[:3] /= 10
+        flight = KeepInView(TEMPLATE, separation_sides=0.0, min_side_px=0.0, **settings)
+        place, height, rows = 0j, start, []
+        for tick in range(int(5 * seconds)):
+            if later is not None and tick >= 5 * later[0]:
+                ceiling = later[1]
+            points = (ground - place) / height
+            ids = np.flatnonzero(np.maximum(np.abs(points.real), np.abs(points.imag)) < 1)
+            sides = 400 / height * (1 + noise * rng.normal(size=ids.size))
+            seen = view_of(make_detections, points[ids], ids, time_s=0.2 * tick, sides=sides)
+            command = flight.command(seen, FlightTask(TEMPLATE.ids), [])
+            rows.append((0.2 * tick, height, command.climb_mps, flight.ceiling.side_px))
+            place += (
+                0.2 * complex(*command.lateral_mps) * min(1.0, 2 / max(np.hypot(*command.lateral_mps), 1e-9))
+            )
+            height = min(max(height + 0.2 * float(np.clip(command.climb_mps, -1, 1)), 1.0), ceiling)
+        return flight, np.array(rows)
+
+    @pytest.mark.parametrize("noise", [0.0, 0.003])
+    def test_vain_climb_shows_ceiling_in_some_seconds(self, make_detections, noise) -> None:
+        _, rows = self.fly(make_detections, 20.0, ceiling=6.0, noise=noise)
+        reached_s = rows[rows[:, 1] == 6.0][0, 0]
+        known = rows[rows[:, 3] > 0]
+        assert reached_s + 2.0 <= known[0, 0] <= reached_s + 6.0
+        np.testing.assert_allclose(known[:, 3], 400 / 6.0, rtol=0.01)
+        assert np.abs(known[10:, 2]).max() < 0.1, "it asks for no more than noise"
+
+    def test_known_robots_beyond_the_view_are_visited(self, make_detections) -> None:
+        """Below an unknown ceiling. Negative control: a unit that cannot learn stays where it is."""
+        for vain_m, visited in ((1.0, True), (1e9, False)):
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr("skyherd.control.flight.keep_in_view.VAIN_CLIMB_M", vain_m)
+                views = fly_below_a_ceiling(make_detections, 120.0, is_known=False)
+            assert ({robot for ids in views for robot in ids.tolist()} == set(range(8))) == visited
+
+    @pytest.mark.parametrize("height", [3.0, 30.0])
+    def test_no_ceiling_while_climbs_change_the_scale(self, make_detections, height) -> None:
+        _, rows = self.fly(make_detections, 30.0, start=height, noise=0.003)
+        assert (rows[:, 3] == 0).all()
+
+    def test_higher_ceiling_is_found_later(self, make_detections) -> None:
+        _, rows = self.fly(make_detections, 120.0, ceiling=6.0, later=(20.0, 9.0))
+        assert rows[5 * 20 - 1, 1] == 6.0
+        assert rows[-1, 1] == 9.0
+
+    def test_ceiling_follows_smallest_side_seen(self, make_detections) -> None:
+        """A unit that is higher than its known ceiling does not sink to it."""
+        flight, _ = self.fly(make_detections, 20.0, ceiling=6.0)
+        points = 0.9 * np.exp(2j * np.pi * np.arange(8) / 8)
+        seen = view_of(make_detections, points, time_s=20.0, sides=np.full(8, 400 / 6.5))
+        assert flight.command(seen, FlightTask(TEMPLATE.ids), []).climb_mps == 0.0
+        assert flight.ceiling.side_px == pytest.approx(400 / 6.5)
+
+    def test_pauses_without_commands_teach_no_ceiling(self, make_detections) -> None:
+        """The unit climbs for 0.4 s and then holds its position for 3 s, in which the law is not called."""
+        flight, height = KeepInView(TEMPLATE, min_side_px=0.0), 5.0
+        for second in range(20):
+            for tick in range(3):
+                points = 0.9 * np.exp(2j * np.pi * np.arange(8) / 8)
+                time_s, sides = 3.4 * second + 0.2 * tick, np.full(8, 400 / height)
+                seen = view_of(make_detections, points, time_s=time_s, sides=sides)
+                command = flight.command(seen, FlightTask(TEMPLATE.ids, TEMPLATE.ids, widen=True), [])
+                height += 0.2 * command.climb_mps * (tick < 2)
+            assert flight.ceiling.side_px == 0
+        assert height > 6.0
+
+    def test_hovering_teaches_no_ceiling(self, make_detections) -> None:
+        """Without a commanded climb an unchanged scale shows nothing."""
+        flight = KeepInView(TEMPLATE, min_side_px=0.0)
+        points = 0.7 * np.exp(2j * np.pi * np.arange(8) / 8)
+        for tick in range(200):
+            seen = view_of(make_detections, points, time_s=0.2 * tick)
+            assert flight.command(seen, FlightTask(TEMPLATE.ids), []).climb_mps == pytest.approx(
+                0.0, abs=1e-12
+            )
+        assert flight.ceiling.side_px == 0

@@ -23,7 +23,7 @@ import numpy as np
 from rows import Row, gather
 
 from skyherd.analysis.history import make_history
-from skyherd.analysis.verdict import explain_failure
+from skyherd.analysis.verdict import explain_outcome
 from skyherd.datasets import Mission, load_mission
 from skyherd.geometry import Array, to_points
 from skyherd.loop import run_steps
@@ -111,7 +111,7 @@ def run_hall(seed: int, *, told: bool = False) -> Row:
         "formed_s": formed_s,
         "shape_error": round(steps[-1].metrics.shape.error, 4),
         "min_gap_sides": round(float(gaps_m) / mission.scenario.marker.side_m, 3),
-        "reason": "" if formed_s else explain_failure(make_history(mission, steps)),
+        "reason": "" if formed_s else explain_outcome(make_history(mission, steps)),
     }
 
 

@@ -52,7 +52,11 @@ def test_record_names_maker_of_each_file(tmp_path):
 def test_force_removes_only_own_files(tmp_path):
     make(tmp_path / "out", names=[*NAMES, "old.txt", "gone/c.txt"])
     (tmp_path / "out" / "gone" / "mine.txt").write_text("mine")
+    before = contents(tmp_path / "out")
     make(tmp_path / "out", verb="detect", names=["d.txt"], force=True)
+    assert {name: before[name] for name in before if name != RECORD}.items() <= contents(
+        tmp_path / "out"
+    ).items()
     make(tmp_path / "out", "again", force=True)
     assert sorted(contents(tmp_path / "out")) == [RECORD, "a.txt", "d.txt", "figures/b.txt", "gone/mine.txt"]
 
@@ -105,6 +109,50 @@ def test_foreign_file_is_rejected_before_any_change(tmp_path, change, way):
     assert contents(out) == before
 
 
+@pytest.mark.parametrize("options", [{"force": True}, {"resume": True}])
+def test_check_rejects_foreign_files_without_entering(tmp_path, options):
+    make(tmp_path / "out")
+    OutputFolder(tmp_path / "out", "run", NAMES, **options).check()
+    (tmp_path / "out" / "a.txt").write_text("edited")
+    before = contents(tmp_path / "out")
+    with pytest.raises(InputError, match="was changed since"):
+        OutputFolder(tmp_path / "out", "run", NAMES, **options).check()
+    assert contents(tmp_path / "out") == before
+
+
+def test_foreign_file_that_appears_before_the_lock_is_rejected(tmp_path, monkeypatch):
+    acquire = FolderLock.acquire
+
+    def late(self, folder, wait_s):
+        (folder / "a.txt").write_text("mine")
+        return acquire(self, folder, wait_s)
+
+    monkeypatch.setattr(FolderLock, "acquire", late)
+    with pytest.raises(InputError, match="was not made by skyherd"):
+        make(tmp_path, resume=True)
+    assert (tmp_path / "a.txt").read_text() == "mine"
+
+
+def test_file_in_the_way_of_a_folder_is_rejected_at_any_depth(tmp_path):
+    (tmp_path / "deep").write_text("mine")
+    with pytest.raises(InputError, match=r"deep: is in the way"):
+        make(tmp_path, names=["deep/er/x.txt"], resume=True)
+
+
+def test_folder_that_another_process_makes_meanwhile_is_used(tmp_path, monkeypatch):
+    mkdir = Path.mkdir
+
+    def late(folder, *arguments, **options):
+        mkdir(folder, *arguments, **options)
+        if folder.name == "new":
+            raise FileExistsError
+
+    monkeypatch.setattr(Path, "mkdir", late)
+    with pytest.raises(KeyError), OutputFolder(tmp_path / "new" / "out", "run", NAMES):
+        raise KeyError
+    assert (tmp_path / "new").is_dir() and not (tmp_path / "new" / "out").exists(), "the other's folder stays"
+
+
 @pytest.mark.parametrize(("first", "second"), [("run", "detect"), ("detect", "run")])
 def test_file_of_another_verb_is_rejected(tmp_path, first, second):
     make(tmp_path / "out", verb=first)
@@ -123,7 +171,7 @@ def test_own_input_is_never_replaced(tmp_path):
 
 @pytest.mark.parametrize("error", [InputError("a", "b", "c"), KeyboardInterrupt(), OSError(28, "full")])
 def test_failure_removes_new_folder(tmp_path, error):
-    out = tmp_path / "new" / "out"
+    out = tmp_path / "new" / "deep" / "out"
     with pytest.raises(type(error)), OutputFolder(out, "run", [*NAMES, "parts/"]):
         (out / "parts" / "deep").mkdir(parents=True)
         (out / "parts" / "deep" / "x").write_text("x")
@@ -137,7 +185,8 @@ def test_failure_preserves_existing_folder(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     make(tmp_path, names=["old.txt"], resume=True)
     before = contents(tmp_path)
-    with pytest.raises(KeyboardInterrupt), OutputFolder(tmp_path, "run", ["old.txt", *NAMES], resume=True):
+    names = ["old.txt", *NAMES, "never/"]
+    with pytest.raises(KeyboardInterrupt), OutputFolder(tmp_path, "run", names, resume=True):
         (tmp_path / "a.txt").write_text("half")
         raise KeyboardInterrupt
     assert contents(tmp_path) == before
@@ -359,8 +408,9 @@ def test_folder_without_the_right_to_write_is_refused(tmp_path, monkeypatch, mis
     if not missing:
         make(tmp_path / "out")
         return
-    with pytest.raises(InputError, match="Permission denied; make the folder writable"):
+    with pytest.raises(InputError, match="Permission denied; make the folder writable") as refused:
         make(tmp_path / "new" / "out")
+    assert refused.value.what == "Permission denied"
     assert not (tmp_path / "new").exists()
 
 

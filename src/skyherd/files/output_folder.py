@@ -14,6 +14,7 @@ import os
 import shutil
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from errno import EACCES
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -185,7 +186,7 @@ class OutputFolder:
                 continue
             self._made_folders.insert(0, folder)
         if not os.access(self.path, os.W_OK | os.X_OK):
-            raise PermissionError(13, "Permission denied")
+            raise PermissionError(EACCES, "Permission denied")
 
     def _remove_made_folders(self) -> None:
         for folder in self._made_folders:
@@ -206,8 +207,8 @@ class OutputFolder:
                     path.unlink()
                     folders |= set(path.relative_to(self.path).parents)
             del self._entries[name]
-        for folder in sorted(folders - {Path()}, key=lambda path: -len(path.parts)):
-            with suppress(OSError):
+        for folder in sorted(folders, reverse=True):  # inner ones first
+            with suppress(OSError):  # of a folder with other files, among them the record's own
                 (self.path / folder).rmdir()
 
     def _remove_parts(self) -> None:

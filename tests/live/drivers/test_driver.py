@@ -147,8 +147,10 @@ class TestRobotDriver:
         wire = Stuck()
         driver = RobotDriver(wire, robot_id=0, limits=FAST)
         assert wire.entered.wait(10)
-        with pytest.warns(RuntimeWarning, match="wire: blocks since 0.05 s; the robot may not have received"):
+        words = "wire: blocks since 0.05 s; the robot may not have received"
+        with pytest.warns(RuntimeWarning, match=words) as caught:
             driver.close()
+        assert caught[0].filename == __file__, "the warning names the caller's line"
         assert "may not have received zero" in driver.trouble
         assert not wire.closed
         wire.held.set()
@@ -204,6 +206,26 @@ class TestRobotDriver:
         with driver:
             driver.send_motion(Motion(0.1, 0.0))
             assert came.wait(10)
+
+    def test_default_rate_is_20_hz_and_hold_half_a_second(self) -> None:
+        wire, steps = Wire(), Steps()
+        driver = RobotDriver(wire, robot_id=3, limits=FAST, clock=steps.clock, pause=steps.pause)
+        steps.begin()
+        driver.send_motion(Motion(1.0, 0.0))
+        for _ in range(20):
+            steps.round()
+        assert steps.now_s == pytest.approx(20 / 20)
+        # Ten sums of 0.05 are slightly less than 0.5.
+        assert wire.written == [STILL, *[Motion(1.0, 0.0)] * 10, *[STILL] * 10]
+        steps.end()
+        driver.close()
+
+    def test_driver_that_is_never_closed_ends_with_the_process(self, rig) -> None:
+        assert rig[0]._thread.daemon
+
+    def test_options_are_given_by_name(self) -> None:
+        with pytest.raises(TypeError, match="positional"):
+            RobotDriver(Wire(), 3)
 
     def test_command_without_the_robot_is_refused(self, rig) -> None:
         driver, _, _ = rig

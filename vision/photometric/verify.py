@@ -107,11 +107,6 @@ OCCLUSION_NOISE_FACTOR, OCCLUSION_LAST_STEP_PX = 1.15, 0.1
 """What a fit to chosen pixels may leave, as a multiple of the noise, and how far its last step may move the
 sides, px. Chosen stricter than for all pixels, since these were chosen for agreeing."""
 
-MAX_COVERED_SHARE = 0.25
-"""Share of a marker's cells that may look wrong if it is still worth a fit without what covers it. Chosen: a
-larger share costs time for fits that are mostly refused, since hidden bits count as wrong."""
-
-
 SAMPLES_PER_CELL, SPAN_CELLS = 8, 5
 """Sample points of a cell in the integrals of E, and number of cells that they cover: two cells on either
 side, which is enough up to a blur of `MAX_BLUR_CELLS`."""
@@ -229,17 +224,14 @@ def _bit_tests(fits: FitResults, wrong: WrongCellResiduals, distance: int) -> li
 
 
 def may_be_occluded(fits: FitResults, noise: float) -> BoolArray:
-    """Return which fits (N,) leave more than noise of some pixel, and yet show most of their marker.
+    """Return which fits (N,) have a marker's contrast and leave more than noise of some pixel.
 
     `noise` is the standard deviation of a pixel, grey levels. Such a marker is worth another fit without the
     pixels that something covers (`fitting.occlusion`).
     """
-    wrong = WrongCellResiduals.of(fits)
-    is_wrong = np.abs(fits.cell_means) > WRONG_CELL_LIMIT * wrong.means[:, None, None]
-    mostly_right = is_wrong.sum(axis=(1, 2)) <= MAX_COVERED_SHARE * fits.cell_means.shape[1] ** 2
     contrasty = fits.contrasts >= MIN_MARKER_CONTRAST
     outliers = has_outlier_pixels(fits.peaks, fits.contrasts, np.full(fits.ids.size, noise))
-    return np.asarray(mostly_right & contrasty & outliers)
+    return np.asarray(contrasty & outliers)
 
 
 def _plausibility_tests(fits: FitResults) -> list[FitTest]:

@@ -12,6 +12,7 @@ from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric import likelihood, pattern_fit
 from skyherd.vision.photometric import readings as readings_module
 from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
+from skyherd.vision.photometric.measure import _weighed
 from skyherd.vision.photometric.pattern_fit import fit_patterns
 from skyherd.vision.photometric.readings import (
     MIN_CONTRAST,
@@ -21,6 +22,7 @@ from skyherd.vision.photometric.readings import (
     nearest_codes,
     on_marker,
 )
+from skyherd.vision.search.edges import fit_edges
 
 CELL_PX, MARGIN_PX, BLUR_PX = 6, 30, 1.0
 
@@ -123,6 +125,20 @@ def test_narrow_cards_are_read_on_any_ground(white_cells, ground) -> None:
     image = noisy(card(marker_cells("4X4_50", 11), white_cells=white_cells, ground=ground), 2)
     odds = marker_odds(image, corners(6), "4X4_50")
     assert odds.ids.tolist() == [11] and odds.log_odds[0] > min_log_odds("4X4_50")
+
+
+@pytest.mark.parametrize("marker", [40, 270, 471])
+def test_bits_within_a_wider_black_border_are_refused(marker) -> None:
+    """The bits alone are those of the marker. A narrow card on black ground shows the marker's outline."""
+    dictionary, cells = "APRILTAG_36h11", marker_cells("APRILTAG_36h11", marker)
+    bare, narrow = (noisy(card(cells, white_cells=white, ground=30.0), 2) for white in (0.0, 0.25))
+    assert marker_odds(bare, corners(8), dictionary).log_odds[0] > min_log_odds(dictionary)
+    bare_odds, narrow_odds = (
+        _weighed(image, dictionary, fit_edges(image, corners(8), 8), corners(8)).log_odds[0]
+        for image in (bare, narrow)
+    )
+    assert bare_odds == -np.inf
+    assert narrow_odds > min_log_odds(dictionary)
 
 
 @pytest.mark.parametrize("box", [(1.6, 3.3, 1.5, 4.2), (2.2, 4.4, 1.7, 2.9), (1.2, 4.8, 1.3, 4.9)])
@@ -260,3 +276,29 @@ def test_spoilt_marker_is_measured_with_an_honest_quality(kind) -> None:
         middle = MARGIN_PX + 4 * CELL_PX - 0.5
         off = seen.centers_px[0] - middle
         assert off @ np.linalg.solve(seen.covariances[0, :2, :2], off) < 2 * 4**2
+
+
+def glaring(marker: int, seed: int, spot_px: float) -> np.ndarray:
+    """A marker of 36h11 under a round spot of light, whose brightness has the given standard deviation."""
+    rng = np.random.default_rng(seed)
+    levels = card(marker_cells("APRILTAG_36h11", marker))
+    row, column = MARGIN_PX + rng.uniform(0.2, 0.8, 2) * 8 * CELL_PX
+    rows, columns = np.indices(levels.shape)
+    distances_px = np.hypot(rows - row, columns - column)
+    return noisy(levels + 400 * np.exp(-((distances_px / spot_px) ** 2) / 2), seed)
+
+
+@pytest.mark.parametrize(
+    ("marker", "seed", "spot_px", "quality"),
+    [
+        (301, 2, 5.0, Quality.ROBUST),  # leaves 0.44 of the bits
+        (40, 3, 6.5, Quality.ROBUST),  # 0.47
+        (40, 11, 6.0, Quality.CORNERS),  # 0.53
+        (301, 2, 6.0, Quality.CORNERS),  # 0.56
+    ],
+)
+def test_fit_that_explains_half_of_the_bits_measures_a_marker(marker, seed, spot_px, quality) -> None:
+    seen = PhotometricDetector("APRILTAG_36h11", following=False).detect(glaring(marker, seed, spot_px))
+    assert seen.ids.tolist() == [marker] and seen.qualities.tolist() == [quality]
+    off_px = np.linalg.norm(seen.centers_px[0] - (MARGIN_PX + 4 * CELL_PX - 0.5))
+    assert off_px < (0.02 if quality == Quality.ROBUST else 0.06)

@@ -51,7 +51,10 @@ PARTS = {
     ),
     "roles": Part(("control/formation/roles.py",), "tests/control/formation/test_roles.py"),
     "avoidance": Part(("control/avoidance",), "tests/control/avoidance/test_speed_bound.py"),
-    "flight": Part(("control/flight",), "tests/control/flight"),
+    "flight": Part(
+        ("control/flight",),
+        "tests/control/flight tests/control/topology/test_conditions_and_selection.py",
+    ),
     "selection": Part(
         ("control/selection",),
         "tests/control/selection tests/control/topology/test_conditions_and_selection.py",

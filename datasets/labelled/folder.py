@@ -9,6 +9,7 @@
 """
 
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ from skyherd.datasets.configuration.validation import input_error
 from skyherd.datasets.labelled.spec import DatasetSpec, SpecFile
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_text
-from skyherd.files.output_folder import OutputFolder, is_directory
+from skyherd.files.output_folder import OutputFolder
 from skyherd.files.reading import read_json
 
 TRAIN, VAL = "train", "val"
@@ -137,7 +138,7 @@ def open_output(path: Path, file: SpecFile) -> Iterator[tuple[Folder, OutputFold
         *map(folder.coco, folder.splits()),
     )
     names = [RECORD, *(str(name.relative_to(path)) for name in files), "images/", "labels/"]
-    if is_directory(path) and any(path.iterdir()):
+    if os.path.isdir(path) and any(path.iterdir()):
         _check_same(path, file)
     with OutputFolder(path, VERB, names, resume=True) as output:
         if not (path / RECORD).exists():

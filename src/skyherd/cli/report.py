@@ -21,7 +21,6 @@ def report(
     again, too, if the recording has images.
     """
     from skyherd.datasets import refuse_configuration
-    from skyherd.files.output_folder import is_directory
     from skyherd.jobs.helpers import cores
     from skyherd.live.review import make_live_report, recorded_files
     from skyherd.report.run_page import PAGE
@@ -29,8 +28,8 @@ def report(
 
     is_simulated = os.path.lexists(folder / RECORDING)
     allowed = "the output folder of `skyherd run` or `skyherd live run`"
-    if not is_directory(folder):
-        if folder.name == RECORDING and is_directory(folder.parent):
+    if not os.path.isdir(folder):
+        if folder.name == RECORDING and os.path.isdir(folder.parent):
             raise InputError(
                 str(folder), "is a recording", f"give its folder: `skyherd report {folder.parent}`"
             )

@@ -80,7 +80,7 @@ class OutputFolder:
             InputError: as for entering.
         """
         check_name(self.path)
-        if os.path.lexists(self.path) and not is_directory(self.path):
+        if os.path.lexists(self.path) and not os.path.isdir(self.path):
             raise InputError(str(self.path), "is a file", "a folder to make; choose another --out")
         if not os.path.lexists(self.path):
             return
@@ -251,14 +251,6 @@ class OutputFolder:
             write_record(self.path, self._entries)
         else:
             (self.path / RECORD).unlink(missing_ok=True)
-
-
-def is_directory(path: Path) -> bool:
-    """Return whether a folder, or a link to one, exists at a path; False for an impossible path."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
 
 
 def check_name(path: Path) -> None:

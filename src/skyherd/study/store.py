@@ -4,6 +4,7 @@ A part is written under another name and then renamed, so that a process that is
 only unwritten outcomes. Parts are numbered, and the last outcome of a run counts.
 """
 
+import os
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,7 +18,7 @@ import pyarrow.parquet as pq
 from skyherd.errors import InputError
 from skyherd.files.atomic import PART, write_text, write_whole
 from skyherd.files.folder_record import RECORD
-from skyherd.files.output_folder import OutputFolder, is_directory
+from skyherd.files.output_folder import OutputFolder
 from skyherd.files.reading import is_regular, open_regular
 from skyherd.study.measure import Outcome
 
@@ -161,7 +162,7 @@ def _read(path: Path) -> pa.Table:
 
 def _is_foreign(folder: Path) -> bool:
     """Return whether the folder has content that does not belong to a study."""
-    if not is_directory(folder) or is_regular(folder / MARK):
+    if not os.path.isdir(folder) or is_regular(folder / MARK):
         return False
     return any(entry.name != RECORD and not PART.fullmatch(entry.name) for entry in folder.iterdir())
 

@@ -280,8 +280,10 @@ def test_other_marker_kinds_are_found_on_request(tmp_path, capsys, image, option
 
 
 def test_markers_with_a_wide_border_are_explained(tmp_path, capsys):
-    """A white cell of the middle one of three is painted over. Taken for markers with a border of one cell, the
-    other two read as markers without an outline, and the option is named."""
+    """A white cell of the middle one of three is painted over.
+
+    Taken for markers with a border of one cell, the others have no outline, and the option is named.
+    """
     image = sheet(dictionary="4X4_50@2")
     cells = marker_cells("4X4_50@2", IDS[1])
     row, column = np.argwhere(cells)[0]

@@ -46,8 +46,8 @@ def marked(monkeypatch):
     """Give every picture one row in the table, as if a marker were found."""
     rows = inspector.detection_rows
 
-    def one(place, found):
-        yield from rows(place, found)
+    def one(place, found, metric):
+        yield from rows(place, found, metric)
         yield {
             **vars(place), **dict.fromkeys(inspector.DETECTION_COLUMNS[3:], 0), "corners_px": np.zeros((4, 2))
         }  # fmt: skip

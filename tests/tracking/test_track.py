@@ -92,6 +92,17 @@ def test_tracks_match_the_drawn_robots(video, tmp_path) -> None:
         assert float(row["u_px"]) == pytest.approx(place_px[0], abs=0.6)
 
 
+def test_tracks_with_a_side_are_in_metres(video, tmp_path) -> None:
+    for name, side_m in (("sides", None), ("metres", 0.12)):
+        track_videos([video], tmp_path / name, side_m=side_m)
+    sides, metres = (rows_of(tmp_path / name / "tracks.csv") for name in ("sides", "metres"))
+    assert len(sides) == len(metres) == 5 * IMAGES and "x_sides" not in metres[0]
+    for row, other in zip(sides, metres, strict=True):
+        for axis in "xy":
+            assert float(other[f"{axis}_m"]) == pytest.approx(0.12 * float(row[f"{axis}_sides"]), abs=1e-5)
+            assert 0 < float(other[f"std_{axis}_m"]) < 1e-3
+
+
 def test_shape_error_matches_the_drawn_robots(video, tmp_path) -> None:
     track_videos([video], tmp_path / "out", detector="opencv-subpix", shape=named_shape("circle"))
     wanted = to_complex(shape_points("circle", 5))

@@ -1,11 +1,11 @@
-"""Positions and shape error on the ground, from rectified images that show it up to a similarity."""
+"""Shape error on the ground, from rectified images that show it up to a similarity."""
 
 import numpy as np
 
 from skyherd.control import Template
 from skyherd.errors import DegenerateSetError
-from skyherd.geometry import Array, ComplexArray, IntArray
-from skyherd.messages import Detections, among
+from skyherd.geometry import ComplexArray, IntArray
+from skyherd.messages import among
 from skyherd.sim.truth_metrics import fit_shape
 
 MIN_ROBOTS = 3
@@ -32,14 +32,3 @@ def shape_residual(template: Template, ids: IntArray, points: ComplexArray) -> t
         return fit_shape(template.points_of(ids[keep]), points[keep]).error, count
     except DegenerateSetError:
         return np.nan, count
-
-
-def positions_in_sides(flat: Detections) -> Array:
-    """Return the ground positions (N, 2) of the markers of a rectified image, in marker sides.
-
-    The unit of length is the median marker side. The origin is the image centre, x points along +u and y
-    along -v.
-    """
-    side_px = float(np.median(flat.sides_px)) if len(flat) else 1.0
-    from_center_px = flat.centers_px - (flat.image_size_px - 1) / 2
-    return np.asarray(from_center_px * (1, -1) / side_px)

@@ -9,7 +9,7 @@ import typer
 from skyherd.cli.choices import TABLE_FORMATS, complete_dictionary, complete_format
 from skyherd.cli.console import ProgressReporter, complain, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
-from skyherd.cli.options import BorderBits, Detector, ForceFolder, Inverted
+from skyherd.cli.options import BorderBits, Detector, ForceFolder, Inverted, MarkerSide
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ def detect(
             autocompletion=complete_format,
         ),
     ] = "csv",
+    marker_side_m: MarkerSide = None,
     border_bits: BorderBits = 1,
     inverted: Inverted = False,
     repeats: Annotated[
@@ -73,9 +74,11 @@ def detect(
     Exit code 0 when done, 1 with --require if a file has none, 2 for bad input.
     """
     from skyherd.inspection import AUTO, DETECTIONS, Inspector, output_name
+    from skyherd.poses import check_side
 
     if kind not in TABLE_FORMATS:
         raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(TABLE_FORMATS)}")
+    side_m = None if marker_side_m is None else check_side("--marker-side-m", marker_side_m)
     if target.suffix in (".toml", ".mcap"):
         from skyherd.datasets import refuse_configuration
 
@@ -89,6 +92,7 @@ def detect(
             inverted=inverted,
             repeats=repeats,
             explained=explained,
+            side_m=side_m,
             kind="jsonl" if kind == "jsonl" else "csv",
             progress=progress,
         )

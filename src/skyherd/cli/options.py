@@ -34,6 +34,16 @@ BorderBits = Annotated[
 
 Inverted = Annotated[bool, typer.Option("--inverted", help="Look for markers that are white on black.")]
 
+MarkerSide = Annotated[
+    float | None,
+    typer.Option(
+        "--marker-side-m",
+        metavar="M",
+        show_default=False,
+        help="Side of the markers' black square; gives positions on the ground in metres.",
+    ),
+]
+
 ScenarioSettings = Annotated[
     list[str] | None,
     typer.Option(

@@ -9,7 +9,7 @@ import typer
 from skyherd.cli.choices import complete_scenario
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
-from skyherd.cli.options import BorderBits, Detector, Dictionary, ForceFolder, Inverted
+from skyherd.cli.options import BorderBits, Detector, Dictionary, ForceFolder, Inverted, MarkerSide
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def track(
         str | None,
         typer.Option(metavar="IDS", help="Follow only these markers, such as 0-15,20."),
     ] = None,
+    marker_side_m: MarkerSide = None,
     dictionary: Dictionary = "4X4_50",
     detector: Detector = "photometric",
     out_dir: Annotated[
@@ -51,18 +52,20 @@ def track(
 ) -> int:
     """Follow robots through overhead videos; measure their shape.
 
-    It writes rectified tracks on the ground, in marker sides, and the shape error over time, as tables and a
-    figure.
+    It writes rectified tracks on the ground, in marker sides or metres, and the shape error over time, as
+    tables and a figure.
 
     Exit code 0 when done, 1 if no robot's marker was found, 2 for bad input.
     """
     from skyherd.datasets import refuse_configuration
     from skyherd.inspection import output_name
     from skyherd.markers.sheet_layout import parse_ids
+    from skyherd.poses import check_side
     from skyherd.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
 
     if shape is not None and scenario is not None:
         raise InputError("--shape", "given with --scenario", "one of the two")
+    side_m = None if marker_side_m is None else check_side("--marker-side-m", marker_side_m)
     for video in videos:
         refuse_configuration(video, "video")
     source = None if shape is None else named_shape(shape)
@@ -74,6 +77,7 @@ def track(
             folder,
             shape=source,
             members=None if ids is None else parse_ids(ids, dictionary),
+            side_m=side_m,
             detector=detector,
             dictionary=dictionary,
             border_bits=border_bits,

@@ -18,6 +18,7 @@ from skyherd.files.video_reader import find_files, is_video, open_clip, read_cli
 from skyherd.files.video_writer import VideoSink
 from skyherd.inspection.annotator import Annotator
 from skyherd.inspection.file_result import FileResult
+from skyherd.inspection.metres import GROUND_COLUMNS, MetricColumns
 from skyherd.inspection.output_names import picture_names
 from skyherd.inspection.table import (
     DETECTION_COLUMNS,
@@ -32,6 +33,7 @@ from skyherd.inspection.table import (
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.markers.dictionary import canonical_name, load_dictionary, with_border
 from skyherd.messages import Detections
+from skyherd.poses import check_side
 from skyherd.vision import (
     DEFAULT_DICTIONARY,
     Detector,
@@ -70,10 +72,11 @@ class Inspector:
         repeats: report an id that is found at several places at each of them.
         explained: also report why candidates were rejected; much slower.
         kind: format of the tables.
+        side_m: side of the markers, m, for positions on the ground in metres; None for pixels alone.
         progress: receives the number of processed frames of each file.
 
     Raises:
-        InputError: there is no such detector or dictionary.
+        InputError: there is no such detector or dictionary, or the side is not one of a marker.
     """
 
     def __init__(
@@ -86,12 +89,15 @@ class Inspector:
         repeats: bool = False,
         explained: bool = False,
         kind: Format = "csv",
+        side_m: float | None = None,
         progress: Progress = NO_PROGRESS,
     ) -> None:
+        self._side_m = None if side_m is None else check_side("side_m", side_m)
         self.detector, self.explained, self.kind = detector, explained, kind
         self.dictionary = dictionary if dictionary == AUTO else canonical_name(dictionary)
         self.border_bits, self.inverted, self.repeats = border_bits, inverted, repeats
         self._progress = progress
+        self._metres: MetricColumns | None = None
         usual = DEFAULT_DICTIONARY if dictionary == AUTO else self.dictionary
         load_dictionary(usual)
         self._create_detector(usual)
@@ -145,7 +151,8 @@ class Inspector:
         if not target.is_dir():
             _check_readable(target)
         with output, ExitStack() as stack:
-            tables = [self._open(stack, folder / DETECTIONS, DETECTION_COLUMNS)]
+            columns = [*DETECTION_COLUMNS, *(GROUND_COLUMNS if self._side_m else [])]
+            tables = [self._open(stack, folder / DETECTIONS, columns)]
             if self.explained:
                 tables.append(self._open(stack, folder / REJECTIONS, REJECTION_COLUMNS))
             results = [self._inspect_file(file, folder / names[file], tables) for file in files]
@@ -157,6 +164,7 @@ class Inspector:
 
     def _inspect_file(self, file: Path, picture: Path, tables: list[Table]) -> FileResult:
         result = FileResult(file)
+        self._metres = None if self._side_m is None else MetricColumns(self._side_m)
         try:
             (self._inspect_video if is_video(file) else self._inspect_picture)(result, picture, tables)
         except InputError as error:
@@ -211,7 +219,8 @@ class Inspector:
         found = detector.detect(image, time_s=place.time_s or 0.0)
         result.frames += 1
         result.ids.update(found.ids.tolist())
-        for row in detection_rows(place, found):
+        metric = () if self._metres is None else self._metres.rows(found)
+        for row in detection_rows(place, found, metric):
             tables[0].add(row)
         if self.explained:
             dictionary = with_border(result.dictionary, self.border_bits)

@@ -3,7 +3,7 @@
 Columns of detections: file; frame (of videos, from 0); time_s (of videos: the stream's own); id; u_px; v_px;
 heading_deg (from +u to +v); side_px; the standard deviations of u, v and heading, empty where the detector
 does not state them; and the corners, the first two ahead. JSON lines have the corners and the covariance of
-(u px, v px, heading rad) as lists.
+(u px, v px, heading rad) as lists. With a known marker side, `skyherd.inspection.metres` adds columns.
 """
 
 import csv
@@ -69,18 +69,20 @@ class Place:
     time_s: float | None = None
 
 
-def detection_rows(place: Place, found: Detections) -> Iterator[Row]:
+def detection_rows(place: Place, found: Detections, metric: Sequence[Row] = ()) -> Iterator[Row]:
     """Yield one row for each marker detected in an image.
 
-    A covariance that is all zero means unknown; its columns are None.
+    A covariance that is all zero means unknown; its columns are None. `metric` has further columns of each
+    marker, or is empty.
     """
-    for marker in found:
+    for row, marker in enumerate(found):
         covariance = marker.covariance if marker.covariance.any() else None
         yield {
             **vars(place),
             **marker.columns(),
             "corners_px": marker.corners_px,
             "covariance": covariance,
+            **(metric[row] if metric else {}),
         }
 
 

@@ -51,7 +51,9 @@ def run_unit(
             return
         stack.enter_context(reader)
         pictures = lab.model.recording
-        frame_log = stack.enter_context(FrameLog(unit, pictures.image_rate_hz, pictures.image_width_px))
+        frame_log = stack.enter_context(
+            FrameLog(unit, pictures.image_rate_hz, pictures.image_width_px, lab.model.markers.side_m)
+        )
         fly = _autopilot(context, mailbox, stack, unit, dry_run=dry_run)
         at_work = UnitAtWork(context, core, mailbox, reader, detector, fly, process_log, frame_log, status)
         while not (context.ended() or reader.ended):

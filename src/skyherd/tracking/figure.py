@@ -97,14 +97,14 @@ def _draw_recording(
         everything.append(path[seen])
     if everything:
         points = np.concatenate(everything)
-        half = max(float(np.ptp(points, axis=0).max()), 2.0) * 0.55
+        half = max(float(np.ptp(points, axis=0).max()), 2.0 * (tracks.side_m or 1.0)) * 0.55
         middle = (points.min(axis=0) + points.max(axis=0)) / 2
         frame_square(axes, np.array([middle - half, middle + half]))
     else:
         axes.text(
             0.5, 0.5, "no marker found", ha="center", va="center", transform=axes.transAxes, color=MUTED
         )
-    axes.set(xlabel="x (marker sides)", ylabel="y (marker sides)")
+    axes.set(xlabel=f"x ({tracks.unit})", ylabel=f"y ({tracks.unit})")
     if titled:
         axes.set_title(tracks.name if len(tracks.name) <= NAME_LENGTH else f"{tracks.name[:NAME_LENGTH]}…")
 

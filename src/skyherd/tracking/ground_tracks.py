@@ -1,6 +1,6 @@
 """Ground positions of the robots in each image of one recording, and their distance from a shape.
 
-The marker side is the unit of length, because its true size may be unknown. The ground is known up to a
+The marker side is the unit of length unless its size in metres is given. The ground is known up to a
 similarity, which the image fixes: x along +u, y against +v, and the image's centre as the origin. A moving
 camera therefore moves all tracks. It does not affect the shape error. For figures,
 `GroundTracks.steady_paths` removes its motion.
@@ -11,10 +11,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from skyherd.analysis.ground import positions_in_sides, shape_residual
+from skyherd.analysis.ground import shape_residual
 from skyherd.control import Rectifier, Template
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
 from skyherd.messages import Detections
+from skyherd.poses import ground_covariances, ground_positions
 
 MOVE_STEPS, MIN_MOVE = 20, 1e-4
 """Steps of the search for a camera's motion, and the least distance in its weights, marker sides. Chosen: far
@@ -29,14 +30,16 @@ class Sighting:
         index: number of the image, from 0.
         time_s: time of the image.
         seen: the detections.
-        positions_sides: (N, 2) x and y on the ground, in marker sides.
+        positions: (N, 2) x and y on the ground, in the unit of the tracks.
+        covariances: (N, 2, 2) their covariances; all zero without covariances of the detector.
         headings_rad: (N,) headings, counter-clockwise from +x.
     """
 
     index: int
     time_s: float
     seen: Detections
-    positions_sides: Array
+    positions: Array
+    covariances: Array
     headings_rad: Array
 
 
@@ -47,12 +50,14 @@ class GroundTracks:
     Attributes:
         name: name of the recording.
         members: the robots; None for all markers. Other markers only help to rectify the ground.
+        side_m: side of the markers, m; positions are then in metres. None for marker sides as the unit.
         sightings: one for each image, in order.
         strangers: detected markers that are not members.
     """
 
     name: str
     members: frozenset[int] | None = None
+    side_m: float | None = None
     sightings: list[Sighting] = field(default_factory=list)
     strangers: set[int] = field(default_factory=set)
     _rectifier: Rectifier = field(default_factory=Rectifier)
@@ -64,8 +69,15 @@ class GroundTracks:
         if self.members is not None:
             self.strangers |= set(found.ids.tolist()) - self.members
             seen, flat = seen.select(self.members), flat.select(self.members)
-        positions = positions_in_sides(flat)
-        self.sightings.append(Sighting(index, found.time_s, seen, positions, -flat.headings_rad))
+        side = self.side_m or 1.0
+        positions, covariances = ground_positions(flat, side), ground_covariances(flat, side)
+        headings_rad = -flat.headings_rad
+        self.sightings.append(Sighting(index, found.time_s, seen, positions, covariances, headings_rad))
+
+    @property
+    def unit(self) -> str:
+        """Unit of the positions, as an axis shows it."""
+        return "marker sides" if self.side_m is None else "m"
 
     @property
     def ids(self) -> IntArray:
@@ -127,7 +139,7 @@ def _least_move(places: ComplexArray, before: ComplexArray) -> tuple[complex, co
 
 def _where(sighting: Sighting, marker: int) -> Array:
     found = np.flatnonzero(sighting.seen.ids == marker)
-    return sighting.positions_sides[found[0]] if found.size else np.full(2, np.nan)
+    return sighting.positions[found[0]] if found.size else np.full(2, np.nan)
 
 
 @dataclass(frozen=True)
@@ -157,5 +169,5 @@ def shape_errors(tracks: GroundTracks, template: Template) -> ShapeErrors:
 
 def _errors(tracks: GroundTracks, template: Template) -> Iterator[tuple[float, float, int]]:
     for sighting in tracks.sightings:
-        points = to_complex(sighting.positions_sides).conj()
+        points = to_complex(sighting.positions).conj()
         yield sighting.time_s, *shape_residual(template, sighting.seen.ids, points)

@@ -13,6 +13,7 @@ from skyherd.files.atomic import whole_file, write_whole
 from skyherd.files.output_folder import OutputFolder
 from skyherd.files.video_reader import is_video, open_clip, read_clip
 from skyherd.jobs.progress import NO_PROGRESS, Progress
+from skyherd.poses import check_side
 from skyherd.text import table_cell
 from skyherd.tracking.figure import draw_tracks
 from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors, Sighting, shape_errors
@@ -36,7 +37,13 @@ TRACK_COLUMNS = (
     *("u_px", "v_px", "side_px", "std_u_px", "std_v_px"),
 )
 """Columns of the tracks: on the ground, and as detected in the image. Standard deviations are empty if the
-detector does not provide them."""
+detector does not provide them. With a marker side in metres, x and y are named as in `METRE_COLUMNS`."""
+
+METRE_COLUMNS = {"x_sides": "x_m", "y_sides": "y_m"}
+"""Names of the columns of positions in metres, by those in marker sides."""
+
+METRE_STDS = ("std_x_m", "std_y_m")
+"""Columns of the standard deviations in metres, which come last."""
 
 SHAPE_COLUMNS = ("file", "frame", "time_s", "robots", "shape_error")
 """Columns of the shape errors: robots of the shape in the image, and error, empty for fewer than three."""
@@ -48,6 +55,7 @@ def track_videos(
     *,
     shape: ShapeSource | None = None,
     members: Collection[int] | None = None,
+    side_m: float | None = None,
     detector: str = "photometric",
     dictionary: str = DEFAULT_DICTIONARY,
     border_bits: int = 1,
@@ -62,6 +70,7 @@ def track_videos(
         folder: the output folder.
         shape: the shape for comparison, for the markers of all videos together; None for none.
         members: the robots, if other markers are in view as well; None for all markers.
+        side_m: side of the markers, m, for positions in metres; None for positions in marker sides.
         detector: name or `module:factory`; each video gets a new detector.
         dictionary: dictionary of the markers.
         border_bits: width of the markers' black border in cells.
@@ -76,6 +85,8 @@ def track_videos(
         InputError: a video cannot be read, the folder exists, or the shape does not fit these robots.
         OutputError: a file cannot be written.
     """
+    if side_m is not None:
+        check_side("side_m", side_m)
     for video in videos:
         if not is_video(video):
             raise InputError(str(video), "not a video by its name", "an .mp4, .mkv, .avi, .mov or .webm file")
@@ -86,10 +97,11 @@ def track_videos(
     with OutputFolder(folder, VERB, names, force=force, inputs=videos):
         robots = None if members is None else frozenset(members)
         recordings = [
-            _follow(GroundTracks(video.name, robots), video, create_detector(detector, **settings), progress)
+            _follow(tracks, video, create_detector(detector, **settings), progress)
             for video in videos
+            for tracks in [GroundTracks(video.name, robots, side_m)]
         ]
-        with _table(folder / TRACKS, TRACK_COLUMNS) as table:
+        with _table(folder / TRACKS, _columns(side_m)) as table:
             table.writerows(row for tracks in recordings for row in _track_rows(tracks))
         errors = _errors(recordings, shape)
         if shape:
@@ -99,6 +111,13 @@ def track_videos(
         figure = draw_tracks(recordings, errors)
         write_whole(folder / FIGURE, lambda part: figure.savefig(part, format="png"))
     return recordings
+
+
+def _columns(side_m: float | None) -> list[str]:
+    """Return the columns of the tracks, in marker sides or in metres."""
+    if side_m is None:
+        return [*TRACK_COLUMNS]
+    return [*(METRE_COLUMNS.get(name, name) for name in TRACK_COLUMNS), *METRE_STDS]
 
 
 def _follow(tracks: GroundTracks, video: Path, detector: Detector, progress: Progress) -> GroundTracks:
@@ -132,7 +151,11 @@ def _table(path: Path, columns: Sequence[str]) -> Iterator[Any]:
 def _track_rows(tracks: GroundTracks) -> Iterator[list[Any]]:
     for sighting in tracks.sightings:
         for row in range(len(sighting.seen)):
-            yield [table_cell(tracks.name), sighting.index, f"{sighting.time_s:.4f}", *_cells(sighting, row)]
+            cells = _cells(sighting, row)
+            if tracks.side_m is not None:
+                stds_m = np.sqrt(np.diag(sighting.covariances[row]))
+                cells += [f"{value:.6f}" if value else "" for value in stds_m]
+            yield [table_cell(tracks.name), sighting.index, f"{sighting.time_s:.4f}", *cells]
 
 
 def _cells(sighting: Sighting, row: int) -> list[Any]:
@@ -140,7 +163,7 @@ def _cells(sighting: Sighting, row: int) -> list[Any]:
     seen = sighting.seen
     covariance = seen.covariances[row]
     stds = np.sqrt(np.diag(covariance)[:2]) if covariance.any() else ()
-    ground = [*sighting.positions_sides[row], np.degrees(np.angle(np.exp(1j * sighting.headings_rad[row])))]
+    ground = [*sighting.positions[row], np.degrees(np.angle(np.exp(1j * sighting.headings_rad[row])))]
     return [
         int(seen.ids[row]),
         *(f"{value:.5f}" for value in ground),

@@ -55,7 +55,9 @@ IMAGE = np.add.outer(np.arange(480) // 4, np.arange(640) // 8).astype(np.uint8)
 
 def test_pages_have_image_markers_goals_and_poses(seen, decided) -> None:
     decision, view = decided
-    made = {topic: plain(message) for topic, message in frame_log.pages(0, 320, IMAGE, seen, decision, view)}
+    made = {
+        topic: plain(message) for topic, message in frame_log.pages(0, 320, 0.1, IMAGE, seen, decision, view)
+    }
     assert made.keys() == frame_log.TOPICS.keys()
     for topic, message in made.items():
         assert_valid(message, frame_log.TOPICS[topic][1], topic)
@@ -78,21 +80,23 @@ def test_pages_have_image_markers_goals_and_poses(seen, decided) -> None:
     np.testing.assert_allclose(starts, (seen.centers_px[rows] + 0.5) / 2)
 
 
-def test_poses_on_the_ground_are_in_marker_sides(seen, decided) -> None:
+def test_poses_on_the_ground_are_in_metres(seen, decided) -> None:
     decision, view = decided
-    (poses,) = [m for topic, m in frame_log.pages(2, 640, IMAGE, seen, decision, view) if topic == "/poses"]
+    (poses,) = [
+        m for topic, m in frame_log.pages(2, 640, 0.1, IMAGE, seen, decision, view) if topic == "/poses"
+    ]
     places = {one["child_frame_id"]: one for one in poses["transforms"]}
     assert places.keys() == {f"unit/2/robot/{robot}" for robot in range(4)}
-    assert {one["parent_frame_id"] for one in places.values()} == {"unit/2/ground in marker sides"}
+    assert {one["parent_frame_id"] for one in places.values()} == {"unit/2/ground"}
     x, y = (places["unit/2/robot/0"]["translation"][axis] for axis in "xy")
     u, v = seen.centers_px[1]
-    assert (x, y) == pytest.approx(((u - 319.5) / 20, -(v - 239.5) / 20))
+    assert (x, y) == pytest.approx((0.1 * (u - 319.5) / 20, -0.1 * (v - 239.5) / 20))
     # Forward is up in the image, a quarter turn counter-clockwise from x.
     assert places["unit/2/robot/0"]["rotation"]["z"] == pytest.approx(np.sin(np.pi / 4))
 
 
 def test_image_without_decision_has_no_goals_and_poses(seen) -> None:
-    made = dict(frame_log.pages(0, 640, IMAGE, seen, None, None))
+    made = dict(frame_log.pages(0, 640, 0.1, IMAGE, seen, None, None))
     assert made.keys() == {"/image", "/overlay"} and not made["/overlay"]["circles"]
 
 
@@ -113,14 +117,14 @@ def test_images_of_any_size_are_drawn(seen, shape) -> None:
             )
         },
     )
-    made = dict(frame_log.pages(0, 64, np.zeros(shape, dtype=np.uint8), nothing, None, None))
+    made = dict(frame_log.pages(0, 64, 0.1, np.zeros(shape, dtype=np.uint8), nothing, None, None))
     assert made["/image"]["data"]
 
 
 @pytest.mark.parametrize(("rate_hz", "pictures"), [(0.0, 0), (2.0, 10), (100.0, 50)])
 def test_preview_rate_is_limited(seen, rate_hz, pictures) -> None:
     made = []
-    with frame_log.FrameLog(0, rate_hz, 64) as kept:
+    with frame_log.FrameLog(0, rate_hz, 64, 0.1) as kept:
         for step in range(50):
             kept.show(IMAGE[:4, :4], replace(seen, time_s=100 + 0.1 * step))
             if kept._made is not None:
@@ -134,10 +138,10 @@ def test_unfinished_preview_does_not_block(seen, monkeypatch) -> None:
 
     def slow(*arguments):
         assert goes_on.wait(PATIENCE_S)
-        return [("/image", arguments[2])]
+        return [("/image", arguments[3])]
 
     monkeypatch.setattr(frame_log, "pages", slow)
-    with frame_log.FrameLog(0, 10.0, 64) as kept:
+    with frame_log.FrameLog(0, 10.0, 64, 0.1) as kept:
         for step in range(5):
             kept.show(IMAGE[step:], replace(seen, time_s=100.0 + step))
             assert not list(kept.done())

@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.analysis.ground import positions_in_sides
 from skyherd.control import Decision
 from skyherd.drawing.palette import INK, PAPER, UNIT_COLORS
 from skyherd.live.logs.view import View
 from skyherd.messages import Detections, rows_of
+from skyherd.poses import ground_positions
 from skyherd.recording import foxglove
 from skyherd.recording.mcap_log import Schema
 
@@ -49,10 +49,11 @@ class FrameLog:
         unit: number of the unit.
         rate_hz: largest rate of previews, Hz; 0 for none.
         width_px: largest width; wider images are downscaled.
+        side_m: side of the markers.
     """
 
-    def __init__(self, unit: int, rate_hz: float, width_px: int) -> None:
-        self._unit, self._rate_hz, self._width_px = unit, rate_hz, width_px
+    def __init__(self, unit: int, rate_hz: float, width_px: int, side_m: float) -> None:
+        self._unit, self._rate_hz, self._width_px, self._side_m = unit, rate_hz, width_px, side_m
         self._due_s = -np.inf
         self._maker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="frame_log")
         self._made: Future[list[Page]] | None = None
@@ -68,7 +69,9 @@ class FrameLog:
         if self._rate_hz == 0 or self._made is not None or found.time_s < self._due_s:
             return
         self._due_s = found.time_s + 1 / self._rate_hz
-        self._made = self._maker.submit(pages, self._unit, self._width_px, image, found, decision, view)
+        self._made = self._maker.submit(
+            pages, self._unit, self._width_px, self._side_m, image, found, decision, view
+        )
 
     def done(self) -> Iterator[Page]:
         """Yield the messages of a finished preview, each once."""
@@ -88,6 +91,7 @@ class FrameLog:
 def pages(
     unit: int,
     width_px: int,
+    side_m: float,
     image: npt.NDArray[np.uint8],
     found: Detections,
     decision: Decision | None,
@@ -98,6 +102,7 @@ def pages(
     Args:
         unit: number of the unit.
         width_px: largest width; a wider image is downscaled.
+        side_m: side of the markers.
         image: grey levels (height, width).
         found: its markers.
         decision: the unit's decision on it; None without one.
@@ -121,16 +126,19 @@ def pages(
     for start_px, goal_px in zip(starts_px, view.goals_px, strict=True):
         overlay.lines(foxglove.LINE_LIST, np.stack([start_px, goal_px]), GOAL_COLOR)
         overlay.circle(goal_px, GOAL_PX, GOAL_COLOR)
-    return [("/image", picture), ("/overlay", overlay.message), ("/poses", _poses(unit, decision))]
+    return [("/image", picture), ("/overlay", overlay.message), ("/poses", _poses(unit, side_m, decision))]
 
 
-def _poses(unit: int, decision: Decision) -> dict[str, Any]:
-    """Return the robots' poses on the ground, as estimated by the unit, in marker sides."""
+def _poses(unit: int, side_m: float, decision: Decision) -> dict[str, Any]:
+    """Return the robots' poses on the ground, m and rad, as estimated by the unit."""
     flat = decision.detections.unambiguous()
     places = {
         f"unit/{unit}/robot/{robot}": (x, y, -heading_rad)
         for robot, (x, y), heading_rad in zip(
-            flat.ids.tolist(), positions_in_sides(flat).tolist(), flat.headings_rad.tolist(), strict=True
+            flat.ids.tolist(),
+            ground_positions(flat, side_m).tolist(),
+            flat.headings_rad.tolist(),
+            strict=True,
         )
     }
-    return foxglove.frame_transforms(flat.time_s, f"unit/{unit}/ground in marker sides", places)
+    return foxglove.frame_transforms(flat.time_s, f"unit/{unit}/ground", places)

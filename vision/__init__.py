@@ -1,7 +1,8 @@
 """From images to detections: the public API of the package for the rest of skyherd.
 
 `create_detector` creates a detector by name, and `Detector` is the interface of all detectors. `explain`
-returns the reasons why markers were not detected, and `suggest` returns settings to try.
+returns the reasons why markers were not detected, and `suggest` returns settings to try. `measure_outlines`
+fits detected markers again, for corners with full covariances.
 """
 
 from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
@@ -20,6 +21,7 @@ from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
 from skyherd.vision.photometric.detector import DeferringDetector, PhotometricDetector
+from skyherd.vision.photometric.outlines import measure_outlines
 
 __all__ = [
     "APRILTAG_FAMILIES",
@@ -41,6 +43,7 @@ __all__ = [
     "explain_mirrored",
     "find_dictionary",
     "load_accuracy",
+    "measure_outlines",
     "peer_names",
     "suggest",
 ]

@@ -59,7 +59,7 @@ def fit_all_sizes(
     the smallest markers. Markers of more than `max_side_px` are fitted in a shrunk image.
     """
     sigmas_px = np.broadcast_to(np.asarray(sigma_px, dtype=float), (ids.size,))
-    octaves = _octaves(homographies, max_side_px)
+    octaves = size_octaves(homographies, max_side_px)
     if not octaves.any():
         given = image, dictionary, ids, homographies, sigma_px, plane, noise, max_steps
         return fit_markers(*given, alone=alone, streak_px2=streak_px2)
@@ -91,7 +91,7 @@ def fit_visible_all_sizes(
     image: Image, dictionary: str, fits: FitResults, sigma_px: float | Array, plane: Plane, noise: float
 ) -> FitResults:
     """Do as `fit_visible`, with each marker at a resolution that suits it; in the order of `fits`."""
-    octaves, visible = _octaves(fits.homographies, MAX_SIDE_PX), fits
+    octaves, visible = size_octaves(fits.homographies, MAX_SIDE_PX), fits
     sigmas_px = np.broadcast_to(np.asarray(sigma_px, dtype=float), (fits.ids.size,))
     for octave in np.unique(octaves):
         rows, scaled = np.flatnonzero(octaves == octave), ScaledImage(image, 2 ** int(octave))
@@ -108,7 +108,7 @@ def fit_visible_all_sizes(
     return visible
 
 
-def _octaves(homographies: LocalHomographies, max_side_px: float) -> IntArray:
+def size_octaves(homographies: LocalHomographies, max_side_px: float) -> IntArray:
     """Return how often (N,) the image is to be halved for each marker."""
     octaves = np.maximum(np.ceil(np.log2(homographies.sides_px() / max_side_px)), 0)
     return np.asarray(octaves, dtype=np.int64)

@@ -55,6 +55,16 @@ def detect(
         ),
     ] = "csv",
     marker_side_m: MarkerSide = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE[#NAME]",
+            help="Calibration of the camera (OpenCV, ROS, Kalibr, caliscope); gives poses in its axes.",
+        ),
+    ] = None,
+    one_plane: Annotated[
+        bool, typer.Option("--one-plane", help="All markers lie on one plane; makes poses more accurate.")
+    ] = False,
     border_bits: BorderBits = 1,
     inverted: Inverted = False,
     repeats: Annotated[
@@ -74,11 +84,18 @@ def detect(
     Exit code 0 when done, 1 with --require if a file has none, 2 for bad input.
     """
     from skyherd.inspection import AUTO, DETECTIONS, Inspector, output_name
-    from skyherd.poses import check_side
+    from skyherd.poses import check_side, read_calibration
 
     if kind not in TABLE_FORMATS:
         raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(TABLE_FORMATS)}")
     side_m = None if marker_side_m is None else check_side("--marker-side-m", marker_side_m)
+    if camera is not None and side_m is None:
+        raise InputError(
+            "--camera", "given without --marker-side-m", "both: the side is the scale of the poses"
+        )
+    if one_plane and camera is None:
+        raise InputError("--one-plane", "given without --camera", "a calibration")
+    calibration = None if camera is None else read_calibration(camera)
     if target.suffix in (".toml", ".mcap"):
         from skyherd.datasets import refuse_configuration
 
@@ -93,6 +110,8 @@ def detect(
             repeats=repeats,
             explained=explained,
             side_m=side_m,
+            calibration=calibration,
+            one_plane=one_plane,
             kind="jsonl" if kind == "jsonl" else "csv",
             progress=progress,
         )

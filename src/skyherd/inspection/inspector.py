@@ -3,6 +3,7 @@
 Each file gets its own detector, so that no state passes from one file to another.
 """
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
@@ -18,13 +19,14 @@ from skyherd.files.video_reader import find_files, is_video, open_clip, read_cli
 from skyherd.files.video_writer import VideoSink
 from skyherd.inspection.annotator import Annotator
 from skyherd.inspection.file_result import FileResult
-from skyherd.inspection.metres import GROUND_COLUMNS, MetricColumns
+from skyherd.inspection.metres import GROUND_COLUMNS, POSE_COLUMNS, MetricColumns
 from skyherd.inspection.output_names import picture_names
 from skyherd.inspection.table import (
     DETECTION_COLUMNS,
     REJECTION_COLUMNS,
     Format,
     Place,
+    Row,
     Table,
     detection_rows,
     open_table,
@@ -33,7 +35,7 @@ from skyherd.inspection.table import (
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.markers.dictionary import canonical_name, load_dictionary, with_border
 from skyherd.messages import Detections
-from skyherd.poses import check_side
+from skyherd.poses import Calibration, check_side
 from skyherd.vision import (
     DEFAULT_DICTIONARY,
     Detector,
@@ -73,6 +75,8 @@ class Inspector:
         explained: also report why candidates were rejected; much slower.
         kind: format of the tables.
         side_m: side of the markers, m, for positions on the ground in metres; None for pixels alone.
+        calibration: of the camera, for poses in its axes instead; needs `side_m`.
+        one_plane: whether all markers lie on one plane, for these poses.
         progress: receives the number of processed frames of each file.
 
     Raises:
@@ -90,9 +94,14 @@ class Inspector:
         explained: bool = False,
         kind: Format = "csv",
         side_m: float | None = None,
+        calibration: Calibration | None = None,
+        one_plane: bool = False,
         progress: Progress = NO_PROGRESS,
     ) -> None:
+        if calibration is not None and side_m is None:
+            raise InputError("calibration", "given without side_m", "both, or side_m alone")
         self._side_m = None if side_m is None else check_side("side_m", side_m)
+        self._calibration, self._one_plane = calibration, one_plane
         self.detector, self.explained, self.kind = detector, explained, kind
         self.dictionary = dictionary if dictionary == AUTO else canonical_name(dictionary)
         self.border_bits, self.inverted, self.repeats = border_bits, inverted, repeats
@@ -151,7 +160,8 @@ class Inspector:
         if not target.is_dir():
             _check_readable(target)
         with output, ExitStack() as stack:
-            columns = [*DETECTION_COLUMNS, *(GROUND_COLUMNS if self._side_m else [])]
+            metric = GROUND_COLUMNS if self._calibration is None else POSE_COLUMNS
+            columns = [*DETECTION_COLUMNS, *(metric if self._side_m else [])]
             tables = [self._open(stack, folder / DETECTIONS, columns)]
             if self.explained:
                 tables.append(self._open(stack, folder / REJECTIONS, REJECTION_COLUMNS))
@@ -162,9 +172,19 @@ class Inspector:
     def _open(self, stack: ExitStack, path: Path, columns: list[str]) -> Table:
         return stack.enter_context(open_table(path.with_suffix(f".{self.kind}"), columns, self.kind))
 
+    def _metric_columns(self, side_m: float) -> MetricColumns:
+        """Return the measurements in metres of a new file."""
+        return MetricColumns(
+            side_m,
+            self._calibration,
+            one_plane=self._one_plane,
+            border_bits=self.border_bits,
+            inverted=self.inverted,
+        )
+
     def _inspect_file(self, file: Path, picture: Path, tables: list[Table]) -> FileResult:
         result = FileResult(file)
-        self._metres = None if self._side_m is None else MetricColumns(self._side_m)
+        self._metres = None if self._side_m is None else self._metric_columns(self._side_m)
         try:
             (self._inspect_video if is_video(file) else self._inspect_picture)(result, picture, tables)
         except InputError as error:
@@ -219,7 +239,9 @@ class Inspector:
         found = detector.detect(image, time_s=place.time_s or 0.0)
         result.frames += 1
         result.ids.update(found.ids.tolist())
-        metric = () if self._metres is None else self._metres.rows(found)
+        metric: Sequence[Row] = ()
+        if self._metres is not None:
+            metric = self._metres.rows(result.file.name, image, found, result.dictionary)
         for row in detection_rows(place, found, metric):
             tables[0].add(row)
         if self.explained:

@@ -1,17 +1,38 @@
-"""Columns in metres of the table of detections, where the side of the markers is known."""
+"""Columns in metres of the table of detections, by the markers' side or a calibration."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from skyherd.control import Rectifier, rectified
-from skyherd.geometry import wrap_angle
+from skyherd.geometry import Array, Image, wrap_angle
 from skyherd.messages import Detections
-from skyherd.poses import ground_covariances, ground_positions
+from skyherd.poses import (
+    Calibration,
+    View,
+    common_frame,
+    ground_covariances,
+    ground_positions,
+    marker_poses,
+)
+from skyherd.vision import measure_outlines
 
 GROUND_COLUMNS = ["x_m", "y_m", "yaw_deg", "std_x_m", "std_y_m"]
 """Columns of positions on the ground plane; standard deviations are empty where the detector states none."""
+
+AXES = "xyz"
+
+POSE_COLUMNS = [
+    *(f"camera_{axis}_m" for axis in AXES),
+    *(f"turn_{axis}_rad" for axis in AXES),
+    *(f"std_camera_{axis}_m" for axis in AXES),
+    *(f"std_turn_{axis}_rad" for axis in AXES),
+    *("pose", "log_ratio"),
+]
+"""Columns of poses in the camera's axes: position, rotation vector, standard deviations; whether the pose is
+of the marker `alone` or of the common `plane`; log-likelihood ratio to the other solution, if alone."""
 
 
 class MetricColumns:
@@ -19,13 +40,40 @@ class MetricColumns:
 
     Args:
         side_m: side of the markers.
+        calibration: of the camera; None for positions on the ground plane.
+        one_plane: whether all markers lie on one plane, for poses by a calibration.
+        border_bits: width of the markers' black border in cells.
+        inverted: True for white markers on black.
     """
 
-    def __init__(self, side_m: float) -> None:
-        self._side_m, self._rectifier = side_m, Rectifier()
+    def __init__(
+        self,
+        side_m: float,
+        calibration: Calibration | None = None,
+        *,
+        one_plane: bool = False,
+        border_bits: int = 1,
+        inverted: bool = False,
+    ) -> None:
+        self._side_m, self._calibration, self._one_plane = side_m, calibration, one_plane
+        self._border_bits, self._inverted = border_bits, inverted
+        self._rectifier = Rectifier()
 
-    def rows(self, found: Detections) -> Sequence[dict[str, Any]]:
-        """Return the values of the columns for each marker of the next image."""
+    def rows(self, where: str, image: Image, found: Detections, dictionary: str) -> Sequence[dict[str, Any]]:
+        """Return the values of the columns for each marker of the next image.
+
+        Raises:
+            InputError: the image has not the size that the camera is calibrated for; `where` names the file.
+        """
+        if self._calibration is None:
+            return self._ground_rows(found)
+        self._calibration.check_image(where, (image.shape[1], image.shape[0]))
+        corners_px, covariances = measure_outlines(
+            image, found, dictionary, border_bits=self._border_bits, inverted=self._inverted
+        )
+        return self._pose_rows(self._calibration, corners_px, covariances)
+
+    def _ground_rows(self, found: Detections) -> list[dict[str, Any]]:
         self._rectifier.rectify(found.unambiguous())
         flat = rectified(found, self._rectifier.ground_map)
         positions = ground_positions(flat, self._side_m)
@@ -35,3 +83,27 @@ class MetricColumns:
             dict(zip(GROUND_COLUMNS, (*place, yaw, *(std if std.any() else (None, None))), strict=True))
             for place, yaw, std in zip(positions.tolist(), yaws_deg.tolist(), stds, strict=True)
         ]
+
+    def _pose_rows(
+        self, calibration: Calibration, corners_px: Array, corner_covariances: Array
+    ) -> list[dict[str, Any]]:
+        poses = marker_poses(corners_px, corner_covariances, calibration, self._side_m)
+        turns, shifts, covariances, kind = poses.rotations, poses.translations_m, poses.covariances, "alone"
+        if self._one_plane and len(turns) > 1:
+            # Numbers for ids, since an id may be found twice.
+            view = View("image", calibration, np.arange(len(turns)), corners_px, corner_covariances)
+            plane = common_frame([view], self._side_m, coplanar=True)
+            if plane.consistent:
+                (turns, shifts, covariances), kind = plane.in_camera(0), "plane"
+        rows = []
+        for k, (turn, shift, covariance) in enumerate(zip(turns, shifts, covariances, strict=True)):
+            ratio = poses.log_ratios[k]
+            doubt = [kind, float(ratio) if kind == "alone" else None]
+            values = [*shift, *Rotation.from_matrix(turn).as_rotvec(), *np.sqrt(np.diag(covariance)), *doubt]
+            row = dict(zip(POSE_COLUMNS, values, strict=True))
+            row["pose_covariance"] = covariance
+            if doubt[1] is not None:
+                other = Rotation.from_matrix(poses.other_rotations[k]).as_rotvec()
+                row["other_pose"] = np.concatenate([poses.other_translations_m[k], other])
+            rows.append(row)
+        return rows

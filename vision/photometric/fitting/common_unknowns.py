@@ -95,7 +95,7 @@ def hold_common_unknowns(
         settling: whether a step was taken before, so that a plane of most of the markers means something.
     """
     inliers = _print_inliers(solution, right)
-    solution = _held_at_zero_if_possible(solution, LIGHT, inliers)
+    solution = with_even_light(solution, inliers)
     solution = with_common_tone(solution, inliers)
     if alone:
         return on_own_planes(solution, start), OWN_PLANES
@@ -116,12 +116,10 @@ def _print_inliers(solution: LeastSquaresSolution, right: BoolArray) -> BoolArra
     return right & (prints > MIN_PRINT_SHARE * weighted_median(prints, weights))
 
 
-def _held_at_zero_if_possible(
-    solution: LeastSquaresSolution, unknowns: list[int], inliers: BoolArray
-) -> LeastSquaresSolution:
-    """Return the solution with `unknowns` held at zero, or unchanged if the inliers' pixels contradict it."""
-    held = solution.constrained(unknowns, np.zeros((inliers.size, len(unknowns))))
-    return solution if _tells_more(solution, held, len(unknowns), inliers) else held
+def with_even_light(solution: LeastSquaresSolution, inliers: BoolArray) -> LeastSquaresSolution:
+    """Return the solution with the change of light held at zero, unless the inliers' pixels contradict it."""
+    held = solution.constrained(LIGHT, np.zeros((inliers.size, len(LIGHT))))
+    return solution if _tells_more(solution, held, len(LIGHT), inliers) else held
 
 
 def with_common_tone(solution: LeastSquaresSolution, inliers: BoolArray) -> LeastSquaresSolution:

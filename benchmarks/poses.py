@@ -30,6 +30,8 @@ from skyherd.vision import create_detector, measure_outlines
 
 SIDES_PX, TILTS_DEG = (20.0, 40.0, 80.0), (0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 SIZE_PX, SPACING = (800, 640), 2.3
+# No card, of 4 / 3 of a side and any heading, covers another marker.
+MIN_DISTANCE = 1.65
 LENSES = {
     "pinhole, f 1000 px": (1000.0, None),
     "pinhole, f 400 px": (400.0, None),
@@ -60,10 +62,14 @@ def scene(
     pose = CameraPose(
         (0.0, 0.0), height, rng.uniform(-np.pi, np.pi), (tilt * np.cos(azimuth), tilt * np.sin(azimuth))
     )
-    grid = np.stack(np.meshgrid(*[np.arange(3) - 1.0] * 2), axis=-1).reshape(-1, 2) * SPACING
-    pixels = (np.array(SIZE_PX) - 1) / 2 + side_px * (grid + rng.uniform(-0.3, 0.3, (9, 2)))
-    straight = undistort(camera, 1.0, pixels)
-    positions = apply_homography(inverse(homography_image_ground(camera, pose)), straight)
+    grid = np.stack(np.meshgrid(*[np.arange(3) - 1.0] * 2), axis=-1).reshape(-1, 2)
+    jitter, spacing, nearest = rng.uniform(-0.3, 0.3, (9, 2)), SPACING, 0.0
+    while nearest < MIN_DISTANCE:
+        pixels = (np.array(SIZE_PX) - 1) / 2 + side_px * (spacing * grid + jitter)
+        straight = undistort(camera, 1.0, pixels)
+        positions = apply_homography(inverse(homography_image_ground(camera, pose)), straight)
+        away = np.linalg.norm(positions[:, None] - positions, axis=2)
+        nearest, spacing = float(away[np.triu_indices(9, 1)].min()), 1.05 * spacing
     renderer = Renderer("4X4_50", 1.0, Ground(int(rng.integers(1000))), Sensor(2.0, rng), psf_px=0.8)
     return renderer, Shot(
         camera, pose, np.sort(rng.permutation(50)[:9]), positions, rng.uniform(-np.pi, np.pi, 9)

@@ -1,8 +1,9 @@
 """Measure poses of markers on rendered images: consistency of covariances, and errors beside OpenCV's.
 
-    python benchmarks/poses.py                 # the tables of docs/poses.md, in an hour of a core
-    python benchmarks/poses.py --images 1 --sides 40 --tilts 0,40
-    python benchmarks/poses.py --picture docs/poses.png
+```sh
+python benchmarks/poses.py --picture docs/poses.png    # docs/how-to/poses.md
+python benchmarks/poses.py --images 1 --sides 40 --tilts 0,40
+```
 
 Each image shows nine markers of 4X4_50 with random headings on one textured plane, noise 2, blur 0.8 px. The
 truth is exact. NEES is `eᵀ C⁻¹ e / 6` of the six errors. `alone` is `marker_poses` of single markers, and

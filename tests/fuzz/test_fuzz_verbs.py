@@ -30,8 +30,8 @@ VERBS = {
     ("topology",): ({"": TEXTS, "--out": TEXTS}, ("--force",)),
     ("detect",): (
         {"": TEXTS, "--dictionary": TEXTS, "--detector": TEXTS, "--out": TEXTS, "--format": TEXTS,
-         "--border-bits": NUMERALS},
-        ("--explain", "--require", "--force", "--inverted", "--repeats"),
+         "--border-bits": NUMERALS, "--marker-side-m": NUMERALS, "--camera": TEXTS},
+        ("--explain", "--require", "--force", "--inverted", "--repeats", "--one-plane"),
     ),
     ("markers",): (
         {"--ids": TEXTS, "--side": TEXTS, "--out": TEXTS, "--paper": TEXTS, "--dictionary": TEXTS,

@@ -29,7 +29,7 @@ SUFFIXES = (".yaml", ".yml", ".toml")
 """Suffixes of calibration files."""
 
 ALLOWED = "a calibration file: OpenCV, ROS or Kalibr .yaml, caliscope .toml"
-"""What is allowed where a calibration is expected."""
+"""Allowed files, as errors name them."""
 
 MAX_BYTES = 4 * MIB
 """Maximum size of a calibration file. Chosen: thousands of cameras."""

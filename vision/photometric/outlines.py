@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from skyherd.geometry import SQUARE_CORNERS, Array, ComplexArray, to_points
+from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, ComplexArray, to_points
 from skyherd.markers.dictionary import with_border
 from skyherd.messages import Detections, Quality
 from skyherd.vision.grey import Image, check_grey
@@ -26,7 +26,7 @@ from skyherd.vision.photometric.fitting.design_matrix import (
     RIGHT,
     TURN,
 )
-from skyherd.vision.photometric.fitting.fit import PixelSamples, stepped
+from skyherd.vision.photometric.fitting.fit import PixelSamples, has_outlier_pixels, stepped
 from skyherd.vision.photometric.fitting.fit_result import FitResults
 from skyherd.vision.photometric.fitting.least_squares import MIN_CONTRAST, LeastSquaresSolution
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
@@ -62,8 +62,8 @@ def measure_outlines(
 ) -> tuple[Array, Array]:
     """Return the corners (N, 4, 2), px, of detected markers, and their covariances (N, 8, 8), px².
 
-    Markers of the quality `PHOTOMETRIC` are fitted to the image again. Those of a lesser quality keep the
-    corners of the detection, with equal and independent errors.
+    Markers of the quality `PHOTOMETRIC` are fitted to the image again. Those of a lesser quality, and those
+    that may be covered, keep the corners of the detection, with equal and independent errors.
 
     Args:
         image: grey, (height, width), in which the markers were found.
@@ -88,13 +88,15 @@ def measure_outlines(
     for octave in np.unique(octaves):
         here, scaled = np.flatnonzero(octaves == octave), ScaledImage(image, 2 ** int(octave))
         shrunk = replace(fits.take(here), homographies=fits.homographies.take(here).scaled(scaled.shrink))
-        there, errors = _fit_freely(
+        there, errors, explained = _fit_freely(
             scaled.image, name, shrunk, scaled.sigmas_px(sigmas_px[here]), scaled.noise(noise)
         )
         free_px = to_points(there.scaled(1 / scaled.shrink).images(SQUARE_CORNERS))
         moved_px = np.linalg.norm(free_px - found.corners_px[rows[here]], axis=2).max(axis=1)
         kept = np.flatnonzero(
-            (moved_px < MAX_MOVE_SIDES * found.sides_px[rows[here]]) & np.isfinite(errors).all(axis=(1, 2))
+            explained
+            & (moved_px < MAX_MOVE_SIDES * found.sides_px[rows[here]])
+            & np.isfinite(errors).all(axis=(1, 2))
         )
         corners_px[rows[here[kept]]] = free_px[kept]
         covariances[rows[here[kept]]] = scaled.shrink**2 * errors[kept]
@@ -103,8 +105,10 @@ def measure_outlines(
 
 def _fit_freely(
     image: Image, dictionary: str, fits: FitResults, sigmas_px: Array, noise: float
-) -> tuple[LocalHomographies, Array]:
-    """Return homographies of N markers, all eight numbers free, and covariances (N, 8, 8) of their corners.
+) -> tuple[LocalHomographies, Array, BoolArray]:
+    """Return homographies of N markers, all eight numbers free, covariances (N, 8, 8) of their corners, px².
+
+    Also returned is which markers (N,) leave no pixel far off: the others may be covered.
 
     Args:
         image: grey, (height, width).
@@ -127,7 +131,9 @@ def _fit_freely(
             break
     ratios, boxes = samples.variance_ratios(everyone, solution, homographies)
     factors = PooledRatios().updated(ratios, boxes).factors()
-    return homographies, _corner_covariances(solution, homographies, factors)
+    _, peaks = samples.cell_residuals(np.arange(fits.ids.size), solution, fits.cell_means.shape[1])
+    explained = ~has_outlier_pixels(peaks, solution.contrasts(), solution.noise_stds())
+    return homographies, _corner_covariances(solution, homographies, factors), explained
 
 
 def _corner_covariances(

@@ -5,11 +5,12 @@ python benchmarks/poses.py --picture docs/poses.png    # docs/how-to/poses.md
 python benchmarks/poses.py --images 1 --sides 40 --tilts 0,40
 ```
 
-Each image shows nine markers of 4X4_50 with random headings on one textured plane, noise 2, blur 0.8 px. The
-truth is exact. NEES is `eᵀ C⁻¹ e / 6` of the six errors. `alone` is `marker_poses` of single markers, and
-`coplanar` is `common_frame` of all nine on one plane. `IPPE` is OpenCV's solvePnP (IPPE_SQUARE) on the
-detector's corners, and on those of OpenCV's ArUco detector with default refinement. Positions are in per
-mille of the distance, rotations in degrees, both RMS.
+Each image shows up to nine markers of 4X4_50 with random headings on one textured plane, with noise 2 and
+blur 0.8 px. The truth is exact. NEES is `eᵀ C⁻¹ e / 6` of the six errors.
+
+- `alone` is `marker_poses` of single markers; `coplanar` is `common_frame` of all of them on one plane.
+- `IPPE` is OpenCV's solvePnP (IPPE_SQUARE) on the detector's corners, and on those of OpenCV's detector.
+- Positions are RMS in per mille of the distance, rotations in degrees.
 """
 
 import argparse
@@ -64,17 +65,15 @@ def scene(
         (0.0, 0.0), height, rng.uniform(-np.pi, np.pi), (tilt * np.cos(azimuth), tilt * np.sin(azimuth))
     )
     grid = np.stack(np.meshgrid(*[np.arange(3) - 1.0] * 2), axis=-1).reshape(-1, 2)
-    jitter, spacing, nearest = rng.uniform(-0.3, 0.3, (9, 2)), SPACING, 0.0
-    while nearest < MIN_DISTANCE:
-        pixels = (np.array(SIZE_PX) - 1) / 2 + side_px * (spacing * grid + jitter)
-        straight = undistort(camera, 1.0, pixels)
-        positions = apply_homography(inverse(homography_image_ground(camera, pose)), straight)
-        away = np.linalg.norm(positions[:, None] - positions, axis=2)
-        nearest, spacing = float(away[np.triu_indices(9, 1)].min()), 1.05 * spacing
+    pixels = (np.array(SIZE_PX) - 1) / 2 + side_px * (SPACING * grid + rng.uniform(-0.3, 0.3, (9, 2)))
+    straight = undistort(camera, 1.0, pixels)
+    positions = apply_homography(inverse(homography_image_ground(camera, pose)), straight)
+    away = np.linalg.norm(positions[:, None] - positions, axis=2)
+    kept = np.array([not (row[:k] < MIN_DISTANCE).any() for k, row in enumerate(away)])
+    headings = rng.uniform(-np.pi, np.pi, 9)
     renderer = Renderer("4X4_50", 1.0, Ground(int(rng.integers(1000))), Sensor(2.0, rng), psf_px=0.8)
-    return renderer, Shot(
-        camera, pose, np.sort(rng.permutation(50)[:9]), positions, rng.uniform(-np.pi, np.pi, 9)
-    )
+    ids = np.sort(rng.permutation(50)[:9])
+    return renderer, Shot(camera, pose, ids[kept], positions[kept], headings[kept])
 
 
 def truth(shot: Shot) -> dict[int, tuple[Array, Array]]:

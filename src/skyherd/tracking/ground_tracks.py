@@ -112,18 +112,20 @@ class GroundTracks:
         known: dict[int, complex] = {}
         moves, turn, shift = [], 1.0 + 0.0j, 0.0 + 0.0j
         for sighting in self.sightings:
-            ids, places = sighting.seen.ids.tolist(), to_complex(sighting.positions_sides)
+            ids, places = sighting.seen.ids.tolist(), to_complex(sighting.positions)
             common = [row for row, marker in enumerate(ids) if marker in known]
             if len(common) > 1:
                 before = np.array([known[ids[row]] for row in common])
-                turn, shift = _least_move(places[common], before)
+                turn, shift = _least_move(places[common], before, MIN_MOVE * (self.side_m or 1.0))
             moves.append((turn, shift))
             known |= zip(ids, (turn * places + shift).tolist(), strict=True)
         return np.array(moves, dtype=np.complex128).reshape(-1, 2)
 
 
-def _least_move(places: ComplexArray, before: ComplexArray) -> tuple[complex, complex]:
+def _least_move(places: ComplexArray, before: ComplexArray, min_move: float) -> tuple[complex, complex]:
     """Return the rotation and the shift of places (N,) with the least sum of distances from places (N,).
+
+    Distances below `min_move` weigh as if they were that long.
 
     The least sum is found by least squares with weights 1/distance, repeated (Weiszfeld's algorithm).
     """
@@ -133,7 +135,7 @@ def _least_move(places: ComplexArray, before: ComplexArray) -> tuple[complex, co
         along = np.vdot(places - source, weights * (before - target))
         turn = complex(along / abs(along)) if abs(along) else 1.0 + 0.0j
         shift = complex(target - turn * source)
-        weights = 1 / np.maximum(np.abs(turn * places + shift - before), MIN_MOVE)
+        weights = 1 / np.maximum(np.abs(turn * places + shift - before), min_move)
     return turn, shift
 
 

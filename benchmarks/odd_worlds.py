@@ -127,7 +127,7 @@ class _Extended(World):
 
     def __init__(self, world: World, own: Markers, extra: Markers) -> None:
         self._world, self._own, self._extra = world, own, extra
-        self.cameras = world.cameras
+        self.cameras, self.imaging, self.covered_ids = world.cameras, world.imaging, world.covered_ids
 
     @property
     def markers(self) -> Markers:

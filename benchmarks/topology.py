@@ -46,7 +46,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from skyherd.control import slowest_rate
 from skyherd.datasets import Mission, make_mission, random_crowd, random_mission, star_mission
-from skyherd.loop import Step, dead_units, run_steps
+from skyherd.loop import Step, run_steps
 
 GOAL = 0.01
 GIVE_UP = 12.0
@@ -155,7 +155,7 @@ class Watch:
         scenario = self._scenario
         radius_m = scenario.robots.body_radius_sides * scenario.marker.side_m
         self.min_gap_m = min(self.min_gap_m, float(pdist(step.positions_m).min()) - 2 * radius_m)
-        range_m, dead = scenario.network.range_m, dead_units(scenario, step.time_s)
+        range_m, dead = scenario.network.range_m, scenario.dead_units(step.time_s)
         living = np.setdiff1d(np.arange(len(scenario.units)), dead)
         if range_m is not None and living.size > 1:
             self.cut_s += passed_s * (min_range_m(step.fleet.positions_m[living]) > range_m)

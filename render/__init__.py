@@ -31,7 +31,7 @@ from skyherd.render.renderer import Renderer
 from skyherd.render.scene.clutter import Clutter
 from skyherd.render.scene.occluders import Disc, Quad
 from skyherd.render.sensor import Illumination, Sensor
-from skyherd.render.shot import Shot
+from skyherd.render.shot import Imaging, Shot
 from skyherd.render.team_projection import TeamImage, project_team
 from skyherd.render.truth import FrameTruth, project_markers
 
@@ -45,6 +45,7 @@ __all__ = [
     "FrameTruth",
     "Ground",
     "Illumination",
+    "Imaging",
     "LensBlur",
     "Mosaic",
     "Motion",

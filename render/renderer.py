@@ -5,6 +5,7 @@ Defocus and coma are the mean over rays through the pupil.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -13,13 +14,13 @@ from skyherd.geometry import Array, Image, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
 from skyherd.render.camera.lens_blur import SHARP, LensBlur, Ray
 from skyherd.render.camera.motion import INSTANT, Shutter
-from skyherd.render.edge import Float, edge_spread
+from skyherd.render.edge import EdgeSpread, Float, edge_spread
 from skyherd.render.ground import Ground
 from skyherd.render.native.library import Canvas
 from skyherd.render.paint import framed, paint_discs, paint_lattices
 from skyherd.render.scene.occluders import Disc, Quad, quads_square
 from skyherd.render.sensor import Sensor
-from skyherd.render.shot import Shot
+from skyherd.render.shot import Imaging, Shot
 from skyherd.render.truth import FrameTruth, moving_markers, project_markers
 from skyherd.render.view import View
 
@@ -62,7 +63,7 @@ class Renderer:
         self.dictionary, self.side_m = dictionary, side_m
         self.ground, self.sensor, self.shutter = ground, sensor, shutter
         self.psf_px, self.black, self.white, self.lens_blur = psf_px, black, white, lens_blur
-        self._spread = edge_spread(psf_px)
+        self._varied: dict[int, tuple[Imaging, Sensor]] = {}
         self._team: tuple[int, ...] = ()
         self._cards = framed(np.zeros((0, 1, 1)))
 
@@ -72,10 +73,15 @@ class Renderer:
         Returns:
             Grey levels (height, width), with sensor noise that differs in each call.
         """
-        if self.sensor.linear and self.lens_blur.none and not self.shutter.exposure_s:
+        sensor = self._sensor_of(shot)
+        if sensor.linear and self.lens_blur.none and not self._shutter_of(shot).exposure_s:
             view = self._view(shot)
-            return self.sensor.expose(self._draw(self._ground(view), view, shot), shot.stream)
-        return self.sensor.expose(self.light(shot), shot.stream)
+            return sensor.expose(self._draw(self._ground(view), view, shot), shot.stream)
+        return sensor.expose(self.light(shot), shot.stream)
+
+    def skip(self, shot: Shot) -> None:
+        """Draw the random numbers of `render` without an image; see `Sensor.skip`."""
+        self._sensor_of(shot).skip(shot.camera.size_px)
 
     def light(self, shot: Shot) -> Light:
         """Render the light on the sensor: `render` without the sensor, in grey levels (height, width).
@@ -108,19 +114,39 @@ class Renderer:
             card_side_m=self.side_m * card_side(self.dictionary),
             ids=shot.ids,
             motion=shot.motion,
-            shutter=self.shutter,
+            shutter=self._shutter_of(shot),
             occluders=shot.occluders,
         )
 
     def _view(self, shot: Shot, at_s: float = 0.0, ray: Ray | None = None) -> View:
-        return View(shot.camera, shot.pose, shot.motion, self.shutter, at_s, ray)
+        return View(shot.camera, shot.pose, shot.motion, self._shutter_of(shot), at_s, ray)
+
+    def _shutter_of(self, shot: Shot) -> Shutter:
+        """Return the shutter of the shot's camera."""
+        exposure_s = shot.imaging.exposure_s
+        return self.shutter if exposure_s is None else replace(self.shutter, exposure_s=exposure_s)
+
+    def _spread_of(self, shot: Shot) -> EdgeSpread:
+        """Return the edge spread of the shot's camera."""
+        return edge_spread(self.psf_px if shot.imaging.psf_px is None else shot.imaging.psf_px)
+
+    def _sensor_of(self, shot: Shot) -> Sensor:
+        """Return the sensor of the shot's camera; the last one of each camera is kept, with its noise."""
+        imaging, sensor = shot.imaging, self.sensor
+        if imaging.noise is None and imaging.gain is None:
+            return sensor
+        if self._varied.get(shot.stream, (None,))[0] != imaging:
+            noise = sensor.noise if imaging.noise is None else imaging.noise
+            gain = sensor.gain if imaging.gain is None else imaging.gain
+            self._varied[shot.stream] = imaging, sensor.varied(noise, gain)
+        return self._varied[shot.stream][1]
 
     def _instants(self, shot: Shot) -> list[tuple[float, float]]:
         """Return the Gauss–Legendre nodes of the exposure, s, and their weights, which sum to one.
 
         Their number follows from the longest motion, px, of a marker or of the ground at an image corner.
         """
-        half_s, motion = self.shutter.exposure_s / 2, shot.motion
+        half_s, motion = self._shutter_of(shot).exposure_s / 2, shot.motion
         if not half_s or motion.still:
             return [(0.0, 1.0)]
         marks = []
@@ -133,7 +159,7 @@ class Renderer:
             forward = markers.project(np.array([[0.0, 0.0], [1.0, 0.0]])).reshape(-1, 2)
             marks.append(np.concatenate([forward, apply_homography(homography, corners_m)]))
         length_px = float(np.linalg.norm(marks[1] - marks[0], axis=1).max())
-        count = min(int(np.ceil(length_px / (2 * self._spread.sigma_px))) + 2, MAX_INSTANTS)
+        count = min(int(np.ceil(length_px / (2 * self._spread_of(shot).sigma_px))) + 2, MAX_INSTANTS)
         nodes, weights = np.polynomial.legendre.leggauss(count)
         return [(float(x * half_s), float(w / 2)) for x, w in zip(nodes, weights, strict=True)]
 
@@ -142,7 +168,8 @@ class Renderer:
         blur = self.lens_blur
         if blur.none:
             return [(None, 1.0)]
-        return [(ray, ray.weight) for ray in blur.rays(shot.camera, shot.pose, self._spread.sigma_px)]
+        sigma_px = self._spread_of(shot).sigma_px
+        return [(ray, ray.weight) for ray in blur.rays(shot.camera, shot.pose, sigma_px)]
 
     def _ground(self, view: View) -> Image:
         ground = view.ground()
@@ -156,30 +183,30 @@ class Renderer:
 
     def _draw(self, canvas: Canvas, view: View, shot: Shot) -> Canvas:
         """Draw clutter, markers and occluders over the ground, in this order."""
-        clutter = self.ground.clutter
+        clutter, spread = self.ground.clutter, self._spread_of(shot)
         if clutter is not None:
             low, high = view.ground_box()
             corners_m, levels = clutter.within(low, high)
-            self._quads(canvas, view, corners_m, levels)
+            self._quads(canvas, view, corners_m, levels, spread)
         if len(shot.ids):
             markers = self._markers(shot)
             marker_lattice = _marker_lattice(cells_per_side(self.dictionary))
             images = view.images(lambda time_s: markers(time_s) @ marker_lattice)
-            paint_lattices(canvas, images, self._levels(shot.ids), self._spread)
+            paint_lattices(canvas, images, self._levels(shot.ids), spread)
         for occluder in shot.occluders:
             if isinstance(occluder, Quad):
-                self._quads(canvas, view, np.array([occluder.corners_m]), np.array([occluder.level]))
+                self._quads(canvas, view, np.array([occluder.corners_m]), np.array([occluder.level]), spread)
             else:
-                self._disc(canvas, view, occluder)
+                self._disc(canvas, view, occluder, spread)
         return canvas
 
-    def _quads(self, canvas: Canvas, view: View, corners_m: Array, levels: Array) -> None:
+    def _quads(self, canvas: Canvas, view: View, corners_m: Array, levels: Array, spread: EdgeSpread) -> None:
         shapes = quads_square(corners_m)
-        paint_lattices(canvas, view.images(lambda _: shapes), framed(levels[:, None, None]), self._spread)
+        paint_lattices(canvas, view.images(lambda _: shapes), framed(levels[:, None, None]), spread)
 
-    def _disc(self, canvas: Canvas, view: View, disc: Disc) -> None:
+    def _disc(self, canvas: Canvas, view: View, disc: Disc, spread: EdgeSpread) -> None:
         shape = disc.ground_shape()[None]
-        paint_discs(canvas, view.images(lambda _: shape), np.array([disc.level]), self._spread)
+        paint_discs(canvas, view.images(lambda _: shape), np.array([disc.level]), spread)
 
     def _levels(self, ids: IntArray) -> Float:
         """Return the grey levels of marker cards, `framed`; row 0 is the forward edge, column 0 the left one.

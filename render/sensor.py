@@ -12,6 +12,7 @@ shadow. With colour filters (`skyherd.render.processing`) white balance scales t
 applies to y before the rounding. JPEG and video compression follow it.
 """
 
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -131,6 +132,12 @@ class Sensor:
         self._deviates: dict[tuple[int, int], Light] = {}
         self._factors: dict[tuple[int, int], Light] = {}
         self._videos: dict[tuple[int, int, int], VideoStream] = {}
+
+    def varied(self, noise: float, gain: float) -> "Sensor":
+        """Return a sensor with another noise and gain, which shares all else, also the random numbers."""
+        sensor = copy(self)
+        sensor.noise, sensor.gain, sensor._banks = noise, gain, {}
+        return sensor
 
     @property
     def linear(self) -> bool:

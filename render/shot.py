@@ -1,4 +1,4 @@
-"""Content of one image: camera, pose, markers, motion and occluders."""
+"""Content of one image: camera, pose, markers, motion, occluders, and values of this camera alone."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,6 +7,27 @@ from skyherd.geometry import Array, IntArray
 from skyherd.render.camera.camera import Camera, CameraPose
 from skyherd.render.camera.motion import STILL, Motion
 from skyherd.render.scene.occluders import Occluder
+
+
+@dataclass(frozen=True)
+class Imaging:
+    """Values of one camera instead of those of the renderer; None keeps the renderer's value.
+
+    Attributes:
+        psf_px: standard deviation of the lens's Gaussian blur.
+        noise: standard deviation of the noise independent of light, grey levels.
+        exposure_s: exposure time of each row.
+        gain: grey levels out for each grey level of light.
+    """
+
+    psf_px: float | None = None
+    noise: float | None = None
+    exposure_s: float | None = None
+    gain: float | None = None
+
+
+STANDARD = Imaging()
+"""All values are those of the renderer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +42,8 @@ class Shot:
         headings_rad: (N,) forward directions of the markers, counter-clockwise from +x.
         motion: velocities of camera and robots; without effect if exposure and row time are 0.
         occluders: shapes over the markers, in drawing order.
-        stream: number of the camera's video stream; without effect unless the sensor compresses video.
+        stream: number of the camera, which has its own video stream and its own `imaging`.
+        imaging: values of this camera instead of those of the renderer.
     """
 
     camera: Camera
@@ -32,3 +54,4 @@ class Shot:
     motion: Motion = STILL
     occluders: Sequence[Occluder] = ()
     stream: int = 0
+    imaging: Imaging = STANDARD

@@ -20,6 +20,10 @@ Coefficient = Annotated[FiniteFloat, Field(ge=-10, le=10)]
 """Coefficient of a lens. The range is chosen: real lenses stay below 1."""
 
 
+Aspect = Annotated[FiniteFloat, Field(ge=0.05, le=20)]
+"""Focal length along v over that along u. The range is chosen: beyond any stretched image."""
+
+
 class DistortionModel(Model):
     """Distortion of a perspective lens after Brown and Conrady, named as in OpenCV; none by default."""
 
@@ -50,9 +54,7 @@ class CameraModel(Model):
     principal_point_px: Point | None = Field(
         None, description="px; where the optical axis meets the image; the image's centre if left out"
     )
-    aspect: Annotated[FiniteFloat, Field(ge=0.05, le=20)] = Field(
-        1.0, description="focal length along v over that along u; 1 for square pixels"
-    )
+    aspect: Aspect = Field(1.0, description="focal length along v over that along u; 1 for square pixels")
     skew: Annotated[FiniteFloat, Field(ge=-2, le=2)] = Field(
         0.0,
         description="change of u with v along the sensor, as a share of the focal length; 0 for right angles",

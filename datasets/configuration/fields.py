@@ -66,6 +66,9 @@ Offset = Annotated[FiniteFloat, Field(ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE), Afte
 Angle = Annotated[FiniteFloat, Field(ge=-3600, le=3600)]
 """Angle, deg. The range is chosen: ten turns."""
 
+Tilt = Annotated[FiniteFloat, Field(ge=-45, le=45)]
+"""Tilt of a camera about one of its axes, deg. The range is chosen: the horizon stays out of most images."""
+
 TurnRate = Annotated[FiniteFloat, Field(ge=-3600, le=3600)]
 """Turn rate, deg/s. The range is chosen: ten turns a second, faster than any aircraft with a camera."""
 

@@ -1,8 +1,11 @@
 """Scenarios: reading from TOML, validation, and completion into missions with a template and a start."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,21 +13,32 @@ import numpy as np
 
 from skyherd.bodies import Bodies
 from skyherd.control import Schedule, Template
+from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.file_kinds import SCENARIO, read_source, source_text
-from skyherd.datasets.configuration.models import Scenario, ShapeModel
+from skyherd.datasets.configuration.intervention_models import (
+    CoverIntervention,
+    Intervention,
+    RobotIntervention,
+    TemplateIntervention,
+)
+from skyherd.datasets.configuration.models import Scenario
 from skyherd.datasets.configuration.obstacles import check_obstacles
 from skyherd.datasets.configuration.robot_models import RobotsModel
 from skyherd.datasets.configuration.start import coincident, start_headings, start_positions
 from skyherd.datasets.configuration.template_image import read_template_image
+from skyherd.datasets.configuration.template_models import ShapeModel
 from skyherd.datasets.configuration.toml_files import apply_settings, built_in_names
-from skyherd.datasets.configuration.validation import check_tree, locate
+from skyherd.datasets.configuration.validation import MAX_SHOWN, check_tree, locate
 from skyherd.datasets.shapes.shapes import shape_outline, shape_points
 from skyherd.errors import DegenerateSetError, InputError, ProblemCollector, join_errors
 from skyherd.files.images import Grey, read_grey
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
 from skyherd.markers.dictionary import dictionary_size
+from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.messages.checks import check_kind
 from skyherd.random_streams import RunStream, generator
+from skyherd.render import Camera
+from skyherd.text import shorten
 from skyherd.vision import check_detector_name, load_accuracy
 
 SAME_POINT = 1e-9
@@ -84,9 +98,50 @@ class Mission:
         return Template(shape.ids, shape.points_px[roles])
 
     @cached_property
+    def _settings(self) -> list[tuple[float, Scenario]]:
+        """The scenario after each of its interventions, with its time, s; at first without any."""
+        settings = [(-np.inf, self.scenario)]
+        for intervention in self.scenario.interventions_in_order:
+            settings.append((intervention.at_s, settings[-1][1].after(intervention)))
+        return settings
+
+    def scenario_at(self, time_s: float) -> Scenario:
+        """Return the scenario with the settings that its interventions have made by a time, s."""
+        made = bisect_right(self._settings, time_s + TIME_TOLERANCE_S, key=itemgetter(0))
+        return self._settings[made - 1][1]
+
+    def cameras_at(self, time_s: float) -> tuple[Camera, ...]:
+        """Return the units' cameras at a time, s, at a zoom of 1."""
+        return _make_cameras(tuple(unit.camera for unit in self.scenario_at(time_s).units))
+
+    def with_interventions(self, added: Sequence[Intervention]) -> "Mission":
+        """Return the mission with further interventions, after those that it has.
+
+        Raises:
+            InputError: an intervention is impossible; one line each, by its key.
+        """
+        if not added:
+            return self
+        scenario = self.scenario.model_copy(update={"interventions": [*self.scenario.interventions, *added]})
+        problems, later = ProblemCollector(), list(self.later)
+        settings = self.scenario_at(added[0].at_s)
+        for number, intervention in enumerate(added, len(self.scenario.interventions)):
+            where = f"interventions.{number}"
+            with problems.collecting():
+                if found := list(settings.intervention_problems(intervention)):
+                    raise join_errors([problem.within_key(where) for problem in found])
+                _check_marker(intervention, self.ids, self.obstacle_ids, where)
+                settings = settings.after(intervention)
+                if isinstance(intervention, TemplateIntervention):
+                    later.append((intervention.at_s, _later_shape(intervention, scenario, self.ids, where)))
+        problems.raise_all()
+        _check_times(scenario)
+        return replace(self, scenario=scenario, later=tuple(sorted(later, key=itemgetter(0))))
+
+    @cached_property
     def outlines(self) -> tuple[tuple[ComplexArray, ...], ...]:
         """Lines of each shape, polylines (M,) in image sense, in the template's units."""
-        models = (self.scenario.template, *self.scenario.template.then)
+        models = (self.scenario.template, *(model for _, model in self.scenario.later_shapes))
         shapes = (self.template, *(shape for _, shape in self.later))
         robots = self.scenario.robots
         return tuple(_outline(model, shape, robots) for model, shape in zip(models, shapes, strict=True))
@@ -258,12 +313,15 @@ def _team(scenario: Scenario, folder: Path, rng: np.random.Generator) -> _Team:
     with problems.collecting():
         _check_template(ids, template, "template")
         _check_outline(scenario.template, "template")
-    for number, shape in enumerate(scenario.template.then):
+    for where, shape in scenario.later_shapes:
         with problems.collecting():
-            made = _template(shape, scenario.robots, dictionary, folder, f"template.then.{number}")
-            _check_template(ids, made, f"template.then.{number}")
-            _check_outline(shape, f"template.then.{number}")
-            later.append((shape.at_s, made))
+            later.append((shape.at_s, _later_shape(shape, scenario, ids, where, folder)))
+    with problems.collecting():
+        _check_times(scenario)
+    obstacle_ids = np.array([obstacle.id for obstacle in scenario.obstacles], dtype=np.int64)
+    for number, intervention in enumerate(scenario.interventions):
+        with problems.collecting():
+            _check_marker(intervention, ids, obstacle_ids, f"interventions.{number}")
     with problems.collecting():
         _check_classes(scenario, ids)
     with problems.collecting():
@@ -305,6 +363,48 @@ def _template(
         return Template.from_ground_points(ids, points)
     except DegenerateSetError as error:
         raise InputError(where, str(error), "at least two distinct points") from None
+
+
+def _later_shape(
+    model: ShapeModel, scenario: Scenario, ids: IntArray, where: str, folder: Path = Path()
+) -> Template:
+    """Return a shape after the first, for the robots `ids` (N,); errors are located at the key `where`."""
+    template = _template(model, scenario.robots, scenario.marker.dictionary, folder, where)
+    _check_template(ids, template, where)
+    _check_outline(model, where)
+    return template
+
+
+def _check_times(scenario: Scenario) -> None:
+    """Check that shapes after the first begin after the start, in the order of the file, one at a time."""
+    times_s = [shape.at_s for shape in scenario.template.then]
+    if any(before >= after for before, after in pairwise(times_s)):
+        raise InputError("template.then", f"times {times_s} s", "times after 0 that ascend")
+    before_s = 0.0
+    for where, shape in scenario.later_shapes:
+        if shape.at_s <= before_s:
+            what = f"{shape.at_s:g}, when another shape begins"
+            raise InputError(f"{where}.at_s", what, "a time after the start at which no other shape begins")
+        before_s = shape.at_s
+
+
+def _check_marker(intervention: Intervention, ids: IntArray, obstacle_ids: IntArray, where: str) -> None:
+    """Check that the robot or marker of an intervention exists."""
+    match intervention:
+        case RobotIntervention():
+            key, number, known = "robot", intervention.robot, ids
+        case CoverIntervention():
+            key, number, known = "marker", intervention.marker, np.union1d(ids, obstacle_ids)
+        case _:
+            return
+    if number not in known:
+        allowed = f"one of {shorten(', '.join(map(str, known.tolist())), MAX_SHOWN)}"
+        raise InputError(f"{where}.{key}", f"no {key} {number}", allowed)
+
+
+@lru_cache(maxsize=16)
+def _make_cameras(models: tuple[CameraModel, ...]) -> tuple[Camera, ...]:
+    return tuple(model.make() for model in models)
 
 
 def _outline(model: ShapeModel, template: Template, robots: RobotsModel) -> tuple[ComplexArray, ...]:

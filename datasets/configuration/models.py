@@ -15,65 +15,34 @@ from skyherd.datasets.configuration.fields import (
     Model,
     Name,
     NotNegative,
-    Point,
     Positive,
     Seed,
 )
+from skyherd.datasets.configuration.intervention_models import (
+    MAX_UNITS,
+    CameraIntervention,
+    ControlIntervention,
+    Intervention,
+    LifeIntervention,
+    NetworkIntervention,
+    TemplateIntervention,
+    UnitIntervention,
+)
 from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleModel, RobotsModel
 from skyherd.datasets.configuration.scene_models import GroundModel, OccluderModel, SensorModel
+from skyherd.datasets.configuration.template_models import LaterModel, TemplateModel
 from skyherd.datasets.configuration.unit_models import UnitModel
 from skyherd.datasets.configuration.validation import shown
 from skyherd.errors import InputError, join_errors
+from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.text import one_of
+
+MAX_INTERVENTIONS = 10_000
+"""Maximum number of interventions. Chosen: a slider that is moved at each step for a quarter of an hour."""
 
 RATE_ROUNDING = 1e-9
 """Tolerance of the number of images per time step above 1. Chosen: rounding of `frame_rate_hz * step_s`,
 such as 10 times 0.1."""
-
-
-PointNumber = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
-"""Number of a point in a list of points."""
-
-
-class ShapeModel(Model):
-    """Shape to form: exactly one of `points`, `shape` and `image`."""
-
-    points: list[Point] | None = Field(
-        None, max_length=MAX_ROBOTS, description="a point (x right, y up) for each robot, in any unit"
-    )
-    shape: str | None = Field(
-        None, description="name of a shape (circle, grid, line, star, triangle), or a word such as word:SKY"
-    )
-    image: str | None = Field(
-        None, description="picture with every robot's marker in it, relative to the scenario's folder"
-    )
-
-    outline: list[Annotated[list[PointNumber], Field(min_length=2, max_length=MAX_ROBOTS)]] | None = Field(
-        None,
-        max_length=MAX_ROBOTS,
-        description="lines drawn in the video, beside `points`: each joins points by their numbers, from 0. "
-        "A named shape has lines of its own",
-    )
-
-    @model_validator(mode="after")
-    def _one(self) -> Self:
-        given = [key for key in ("points", "shape", "image") if getattr(self, key) is not None]
-        if len(given) != 1:
-            what = f"{' and '.join(given)} given" if given else "no shape given"
-            raise InputError("", what, "exactly one of points, shape and image")
-        return self
-
-
-class LaterModel(ShapeModel):
-    """Shape that replaces the previous one."""
-
-    at_s: Positive = Field(description="s; time at which it replaces the previous shape")
-
-
-class TemplateModel(ShapeModel):
-    """The shape to form, and later shapes."""
-
-    then: list[LaterModel] = Field([], max_length=100, description="later shapes, their times ascending")
 
 
 METHODS = (
@@ -271,7 +240,7 @@ class Scenario(Model):
     )
     size: SizeModel = Field(SizeModel(), description="size of the shape")
     avoidance: AvoidanceModel = Field(AvoidanceModel(), description="collision avoidance")
-    units: list[UnitModel] = Field(min_length=1, max_length=256, description="the aerial units")
+    units: list[UnitModel] = Field(min_length=1, max_length=MAX_UNITS, description="the aerial units")
     autopilot: AutopilotModel = Field(AutopilotModel(), description="limits that the units' autopilots keep")
     network: NetworkModel = Field(NetworkModel(), description="losses and delays of images and messages")
     sensor: SensorModel = Field(SensorModel(), description="sensors of the cameras")
@@ -282,6 +251,68 @@ class Scenario(Model):
     obstacles: list[ObstacleModel] = Field(default=[], max_length=1000, description="static round bodies")
     goal: GoalModel = Field(GoalModel(), description="criterion of convergence")
     video: VideoModel = Field(VideoModel(), description="speed and end of the video")
+    interventions: list[Intervention] = Field(
+        default=[],
+        max_length=MAX_INTERVENTIONS,
+        description="changes of the running simulation, each at its time; the last one of a value counts",
+    )
+
+    @property
+    def interventions_in_order(self) -> list[Intervention]:
+        """The interventions by time; those of one time stay in the order of the file."""
+        return sorted(self.interventions, key=lambda intervention: intervention.at_s)
+
+    @property
+    def later_shapes(self) -> list[tuple[str, LaterModel | TemplateIntervention]]:
+        """Shapes after the first by time, of `template.then` and of interventions, each with its key."""
+        shapes: list[tuple[str, LaterModel | TemplateIntervention]] = [
+            (f"template.then.{number}", shape) for number, shape in enumerate(self.template.then)
+        ]
+        shapes += [
+            (f"interventions.{number}", intervention)
+            for number, intervention in enumerate(self.interventions)
+            if isinstance(intervention, TemplateIntervention)
+        ]
+        return sorted(shapes, key=lambda shape: shape[1].at_s)
+
+    def after(self, intervention: Intervention) -> "Scenario":
+        """Return the scenario with the settings that an intervention changes; others stay the same objects.
+
+        Interventions on robots, markers, the life of a unit and the shape change no settings.
+        """
+        match intervention:
+            case UnitIntervention() | CameraIntervention():
+                units = list(self.units)
+                units[intervention.unit] = units[intervention.unit].with_values(intervention.changes)
+                return self.model_copy(update={"units": units})
+            case NetworkIntervention():
+                return self.model_copy(
+                    update={"network": self.network.model_copy(update=intervention.changes)}
+                )
+            case ControlIntervention():
+                return self.model_copy(
+                    update={"control": self.control.model_copy(update=intervention.changes)}
+                )
+            case _:
+                return self
+
+    def dead_units(self, time_s: float) -> list[int]:
+        """Return the units that are dead at a time, s: killed and not revived, or in an outage.
+
+        A unit that is revived does not return to the outage in which it was.
+        """
+        last: dict[int, LifeIntervention] = {}
+        lives = [one for one in self.interventions if isinstance(one, LifeIntervention)]
+        for intervention in sorted(lives, key=lambda one: one.at_s):
+            if intervention.at_s <= time_s + TIME_TOLERANCE_S:
+                last[intervention.unit] = intervention
+        dead = []
+        for unit, model in enumerate(self.units):
+            kind, at_s = (last[unit].kind, last[unit].at_s) if unit in last else ("revive", -np.inf)
+            outages = any(start <= time_s < end and start > at_s for start, end in model.outages)
+            if kind == "kill" or outages:
+                dead.append(unit)
+        return dead
 
     @property
     def obstacles_by_id(self) -> list[ObstacleModel]:
@@ -311,6 +342,48 @@ class Scenario(Model):
         return self
 
     @model_validator(mode="after")
+    def _possible_interventions(self) -> Self:
+        problems: list[InputError] = []
+        settings: Scenario = self
+        numbers = {id(intervention): number for number, intervention in enumerate(self.interventions)}
+        for intervention in self.interventions_in_order:
+            found = list(settings.intervention_problems(intervention))
+            key = f"interventions.{numbers[id(intervention)]}"
+            problems += [problem.within_key(key) for problem in found]
+            if not found:
+                settings = settings.after(intervention)
+        if problems:
+            raise join_errors(problems)
+        return self
+
+    def intervention_problems(self, intervention: Intervention) -> Iterator[InputError]:
+        """Yield the reasons, by key, why an intervention is impossible in this scenario.
+
+        Markers and template points are not checked here, since they belong to the completed mission.
+        """
+        unit = getattr(intervention, "unit", 0)
+        if unit >= len(self.units):
+            yield InputError("unit", f"no unit {unit}", f"from 0 to {len(self.units) - 1}")
+            return
+        match intervention:
+            case UnitIntervention():
+                yield from self._unit_problems(self.after(intervention).units[unit])
+            case CameraIntervention(distortion=lens) if (
+                lens and self.units[unit].camera.lens != "perspective"
+            ):
+                yield InputError("distortion", "given for a lens that is not perspective", "leave it out")
+            case CameraIntervention():
+                key = next(
+                    (key for key in ("distortion", "zoom", "aspect") if key in intervention.changes), ""
+                )
+                for problem in self._unit_problems(self.after(intervention).units[unit]):
+                    yield InputError(key, problem.what, problem.allowed)
+            case ControlIntervention():
+                unused = {"k_v"} if self.control.gains == "marker" else {"k"}
+                for key in sorted(unused & intervention.changes.keys()):
+                    yield InputError(key, f"unused with control.gains {self.control.gains}", "leave it out")
+
+    @model_validator(mode="after")
     def _fit_for_baseline(self) -> Self:
         """Reject role exchange, avoidance, later shapes and pixel gains with a law from the literature."""
         parts = {
@@ -318,6 +391,9 @@ class Scenario(Model):
             "avoidance.on": self.avoidance.on,
             "template.then": self.template.then,
             "control.gains": self.control.gains == "pixel",
+        } | {
+            f"interventions.{number}": isinstance(intervention, ControlIntervention | TemplateIntervention)
+            for number, intervention in enumerate(self.interventions)
         }
         if self.control.method != "similarity" and (given := [name for name, on in parts.items() if on]):
             what = f"not supported by control.method {self.control.method}"

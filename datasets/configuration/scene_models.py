@@ -38,6 +38,15 @@ PERIODS_M = {"concrete": 40.0, "tiles": 0.5, "image": 10.0}
 picture. Chosen: 2 cm per sample of concrete, and usual sizes of tiles and pictures."""
 
 
+Blur = Annotated[FiniteFloat, Field(ge=0, le=10)]
+"""Standard deviation of a lens's blur, px. Chosen: no marker is legible at the maximum."""
+
+Exposure = Annotated[FiniteFloat, Field(ge=0, le=1)]
+"""Exposure time, s. Chosen: longer than that of any video camera."""
+
+Gain = Annotated[FiniteFloat, Field(ge=0.001, le=1000)]
+"""Grey levels out for each grey level of light. Chosen: images are black or white at the ends."""
+
 BlurLength = Annotated[FiniteFloat, Field(ge=0, le=20)]
 """Length of lens blur, px. Chosen: no marker is legible at the maximum."""
 
@@ -124,15 +133,9 @@ class SensorModel(Model):
     shot: Share = Field(
         0.0, description="grey levels; variance of the shot noise for each grey level of signal"
     )
-    gain: Annotated[FiniteFloat, Field(ge=0.001, le=1000)] = Field(
-        1.0, description="grey levels out for each grey level of light"
-    )
-    psf_px: Annotated[FiniteFloat, Field(ge=0, le=10)] = Field(
-        0.8, description="px; standard deviation of the lens's blur"
-    )
-    exposure_s: Annotated[FiniteFloat, Field(ge=0, le=1)] = Field(
-        0.0, description="s; exposure, which blurs what moves in the image"
-    )
+    gain: Gain = Field(1.0, description="grey levels out for each grey level of light")
+    psf_px: Blur = Field(0.8, description="px; standard deviation of the lens's blur")
+    exposure_s: Exposure = Field(0.0, description="s; exposure, which blurs what moves in the image")
     row_time_s: Annotated[FiniteFloat, Field(ge=0, le=0.01)] = Field(
         0.0, description="s; rolling shutter: time from one image row to the next"
     )

@@ -1,6 +1,6 @@
 """Scenario keys of an aerial unit: start, sway, flight and camera."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
@@ -17,6 +17,7 @@ from skyherd.datasets.configuration.fields import (
     NotNegative,
     Point,
     Positive,
+    Tilt,
     TurnRate,
     Zoom,
 )
@@ -81,9 +82,9 @@ class UnitModel(Model):
     yaw_deg: Angle = Field(
         0.0, description="deg; direction of the image's right on the ground, counter-clockwise from +x"
     )
-    tilt_deg: tuple[
-        Annotated[FiniteFloat, Field(ge=-45, le=45)], Annotated[FiniteFloat, Field(ge=-45, le=45)]
-    ] = Field((0.0, 0.0), description="deg; constant tilt about the camera's u and v axes")
+    tilt_deg: tuple[Tilt, Tilt] = Field(
+        (0.0, 0.0), description="deg; constant tilt about the camera's u and v axes"
+    )
     sway: SwayModel | None = Field(None, description="sway; none if left out")
     camera: UnitCameraModel = Field(description="its camera; the controller gets only the image size")
     zoom: list[tuple[NotNegative, Zoom]] = Field(
@@ -116,6 +117,17 @@ class UnitModel(Model):
     def ideal(self) -> bool:
         """True if Property 1 holds for its camera: square pixels, a lens without distortion, and no tilt."""
         return self.sway is None and not any(self.tilt_deg) and self.camera.ideal
+
+    def with_values(self, values: dict[str, Any]) -> Self:
+        """Return the unit with other values by key, of the unit, its camera, or its constant zoom.
+
+        Values of keys that neither the unit nor its camera has are ignored.
+        """
+        camera = {key: value for key, value in values.items() if key in CameraModel.model_fields}
+        own = {key: value for key, value in values.items() if key in type(self).model_fields}
+        if "zoom" in own:
+            own["zoom"] = [(0.0, own["zoom"])]
+        return self.model_copy(update=own | {"camera": self.camera.model_copy(update=camera)})
 
     def zooms(self) -> list[float]:
         """Return the zooms, from the least to the greatest possible, at which the lens is checked."""

@@ -1,6 +1,7 @@
 """Error messages for configuration files: where, what is wrong, what is allowed, what to do.
 
-Pydantic finds the problems. The wording comes from the model's JSON schema. A validator of a model raises
+Pydantic finds the problems. The wording comes from the model's JSON schema. In a union of models, the value
+of a key such as `kind` tells the model; Pydantic adds this tag to locations. A validator of a model raises
 `InputError`, located at a key relative to the model, or at an empty key for the value itself.
 """
 
@@ -12,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
 from skyherd.errors import MAX_PROBLEMS, InputError, join_errors
-from skyherd.text import did_you_mean, shorten
+from skyherd.text import did_you_mean, one_of, shorten
 
 MAX_SHOWN = 60
 """Maximum number of characters of a value or a key in a message. Chosen: a number, a name or a short list."""
@@ -135,8 +136,8 @@ def expected(schema: Schema, top: Schema) -> str:
         top: the whole schema, in which references are resolved.
     """
     schema = _resolved(schema, top)
-    if "anyOf" in schema:
-        options = [option for option in schema["anyOf"] if option.get("type") != "null"]
+    if len(_options(schema)) > 1:
+        options = [option for option in _options(schema) if option.get("type") != "null"]
         return ", or ".join(dict.fromkeys(expected(option, top) for option in options))
     if "const" in schema:
         return f"{schema['const']!r}"
@@ -196,8 +197,12 @@ def _number(bound: float) -> str:
 def _problems(detail: ErrorDetails, top: Schema) -> Iterator[tuple[str, str, str]]:
     """Yield key, problem and allowed values for each problem in one error of Pydantic."""
     location, value = tuple(detail["loc"]), detail["input"]
-    key, schema = _key(location), _node(location, top)
+    key, schema = _key(location, top), _node(location, top)
     match detail["type"]:
+        case "union_tag_invalid" | "union_tag_not_found":
+            tag, names = _tag(_resolved(schema, top))
+            name = value.get(tag) if isinstance(value, dict) else value
+            yield f"{key}.{tag}", "missing" if name is None else shown(name), one_of(str(name or ""), names)
         case "extra_forbidden":
             known = [
                 name
@@ -236,9 +241,20 @@ def _what(value: Any) -> str:
     return "a table" if isinstance(value, dict) else shown(value)
 
 
-def _key(location: Location) -> str:
-    """Return a dotted key, without the marks that Pydantic adds for the keys of a dictionary."""
-    return shorten(".".join(str(part) for part in location if part != "[key]"), MAX_SHOWN)
+def _key(location: Location, top: Schema) -> str:
+    """Return a dotted key, without the marks that Pydantic adds for keys of a dictionary and tags."""
+    parts = [
+        str(part)
+        for place, part in enumerate(location)
+        if part != "[key]" and part not in _tag(_resolved(_node(location[:place], top), top))[1]
+    ]
+    return shorten(".".join(parts), MAX_SHOWN)
+
+
+def _tag(schema: Schema) -> tuple[str, list[str]]:
+    """Return the key whose value tells the model of a union, and its values; none for other schemas."""
+    discriminator = schema.get("discriminator", {})
+    return discriminator.get("propertyName", ""), list(discriminator.get("mapping", {}))
 
 
 def _instead(name: str, known: list[str], top: Schema) -> str:
@@ -262,7 +278,7 @@ def renamed(name: str) -> str | None:
 
 def _names(schema: Schema, top: Schema) -> list[str]:
     """Return the values of an enumeration; empty for other schemas."""
-    options = [_resolved(option, top) for option in schema.get("anyOf", [schema])]
+    options = [_resolved(option, top) for option in _options(schema)]
     return [str(name) for option in options for name in option.get("enum", [])]
 
 
@@ -279,20 +295,23 @@ def _node(location: Location, top: Schema) -> Schema:
     """Return the schema of the value at a location; empty if it is not defined."""
     node = top
     for part in location:
-        options = [_resolved(option, top) for option in _options(_resolved(node, top))]
+        whole = _resolved(node, top)
+        options = [whole, *(_resolved(option, top) for option in _options(whole))]
         node = next((below for below in (_below(option, part) for option in options) if below), {})
     return node
 
 
 def _options(schema: Schema) -> list[Schema]:
-    options: list[Schema] = schema.get("anyOf", [schema])
+    options: list[Schema] = schema.get("anyOf") or schema.get("oneOf") or [schema]
     return options
 
 
 def _below(schema: Schema, part: int | str) -> Schema:
-    """Return the schema of an item of a list, or of a key of a table; empty if it is not defined."""
+    """Return the schema of a list's item, of a table's key, or of a tag; empty if it is not defined."""
     found: Any = None
-    if isinstance(part, int):
+    if part in _tag(schema)[1]:
+        found = {"$ref": schema["discriminator"]["mapping"][part]}
+    elif isinstance(part, int):
         first = schema.get("prefixItems", [])
         found = first[part] if part < len(first) else schema.get("items")
     else:

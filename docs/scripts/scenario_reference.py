@@ -48,8 +48,8 @@ def sections(schema: Schema) -> Iterator[tuple[str, list[str]]]:
     while waiting:
         prefix, model = waiting.pop(0)
         for key, value in model["properties"].items():
-            for name, is_list in references(value):
-                path = f"{prefix}{key}{'[]' if is_list else ''}"
+            for name, suffix in references(value):
+                path = f"{prefix}{key}{suffix}"
                 known = name in paths
                 paths.setdefault(name, []).append(path)
                 if not known:
@@ -57,14 +57,29 @@ def sections(schema: Schema) -> Iterator[tuple[str, list[str]]]:
     yield from paths.items()
 
 
-def references(value: Schema) -> Iterator[tuple[str, bool]]:
-    """Yield the possible models of a value, and whether it is a list of them."""
+def references(value: Schema) -> Iterator[tuple[str, str]]:
+    """Yield the possible models of a value, each with `[]` for an item of a list, or with its kind."""
     if "$ref" in value:
-        yield value["$ref"].rsplit("/", 1)[-1], False
+        yield model_name(value["$ref"]), ""
     for option in value.get("anyOf", []):
         yield from references(option)
+    for name, kinds in kinds_of(value).items():
+        yield name, f"[kind={'|'.join(kinds)}]"
     if isinstance(value.get("items"), dict):
-        yield from ((name, True) for name, _ in references(value["items"]))
+        yield from ((name, suffix or "[]") for name, suffix in references(value["items"]))
+
+
+def kinds_of(value: Schema) -> dict[str, list[str]]:
+    """Return the models of a value that are told apart by `kind`, each with its kinds."""
+    kinds: dict[str, list[str]] = {}
+    for kind, reference in value.get("discriminator", {}).get("mapping", {}).items():
+        kinds.setdefault(model_name(reference), []).append(kind)
+    return kinds
+
+
+def model_name(reference: str) -> str:
+    """Return the name of the model at a reference."""
+    return reference.rsplit("/", 1)[-1]
 
 
 def table(model: Schema) -> str:
@@ -88,8 +103,10 @@ def default(given: Any) -> str:
 def taken(value: Schema) -> str:
     """Return the type and range of a key in words."""
     if "$ref" in value:
-        name = value["$ref"].rsplit("/", 1)[-1]
-        return f"[a table](#{name.lower()})"
+        return f"[a table](#{model_name(value['$ref']).lower()})"
+    if kinds := kinds_of(value):
+        links = (f"[{', '.join(names)}](#{name.lower()})" for name, names in kinds.items())
+        return f"tables of the kinds {', '.join(links)}"
     if "anyOf" in value:
         return " or ".join(
             dict.fromkeys(taken(option) for option in value["anyOf"] if option.get("type") != "null")

@@ -1,20 +1,22 @@
 """Closed control loop from images to formation. All outputs derive from the steps that it yields."""
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import floor
 
 import numpy as np
 
 from skyherd.control import Decision
-from skyherd.datasets import Mission, Scenario
+from skyherd.datasets import Intervention, Mission, Scenario
 from skyherd.geometry import IntArray
-from skyherd.messages import FlightCommand, VelocityCommand
+from skyherd.messages import TIME_TOLERANCE_S, FlightCommand, VelocityCommand
 from skyherd.messages.checks import check_kind
 from skyherd.messages.short_repr import short_repr
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.agents import ControllerFactory, UnitAgents, make_controller
 from skyherd.sim.faulty_cameras import with_camera_faults
+from skyherd.sim.interventions import Simulation, intervene
 from skyherd.sim.perception import make_run_perception
 from skyherd.sim.physics import make_network, make_world
 from skyherd.sim.robot_teams import TeamFactory, make_team
@@ -57,6 +59,7 @@ class Step:
         control_sets: S_j^c of each unit, as it declared it last.
         metrics: ground-truth metrics of formation and topology.
         roles: (N,) template row assigned to each robot.
+        interventions: changes that were made to the simulation since the last step.
     """
 
     time_s: float
@@ -69,6 +72,7 @@ class Step:
     control_sets: dict[int, IntArray]
     metrics: TruthMetrics
     roles: IntArray
+    interventions: tuple[Intervention, ...] = ()
 
     __repr__ = short_repr
 
@@ -81,12 +85,22 @@ class Step:
         return replace(self, frames=frames)
 
 
+Requests = Callable[[float], Sequence[Intervention]]
+"""Function from the time of a step, s, to the interventions that an operator asks for before it."""
+
+
+def no_requests(time_s: float) -> Sequence[Intervention]:
+    """Ask for no interventions besides those of the scenario."""
+    return ()
+
+
 def run_steps(
     mission: Mission,
     perception: Perception | None = None,
     *,
     controller_for: ControllerFactory = make_controller,
     team_for: TeamFactory = make_team,
+    requests: Requests = no_requests,
 ) -> Iterator[Step]:
     """Run a mission and yield each step after its decisions, before the world moves.
 
@@ -98,9 +112,11 @@ def run_steps(
         controller_for: factory of a unit's controller (mission, unit); called at the start and in each
             outage.
         team_for: factory of the robots (mission, world).
+        requests: interventions of an operator, called once before each step. The loop sets their times. A
+            run of the scenario with them in `interventions` gives the same steps.
 
     Raises:
-        InputError: `mission` is not a Mission.
+        InputError: `mission` is not a Mission, or a requested intervention is impossible.
     """
     check_kind("run_steps: mission", mission, Mission, "a Mission, as load_mission returns it")
     scenario = mission.scenario
@@ -109,15 +125,24 @@ def run_steps(
     perception = with_camera_faults(perception or make_run_perception(mission), mission)
     network = make_network(scenario, generator(scenario.seed, RunStream.MESSAGES))
     agents, team = UnitAgents(mission, controller_for), team_for(mission, world)
+    simulation = Simulation(world, network, team)
+    waiting = deque(scenario.interventions_in_order)
     for tick in range(round(scenario.duration_s / scenario.step_s) + 1):
         time_s = tick * scenario.step_s
-        frames, dead = {}, dead_units(scenario, time_s)
+        asked = [request.model_copy(update={"at_s": time_s}) for request in requests(time_s)]
+        mission = mission.with_interventions(asked)
+        due = [*_due(waiting, time_s), *asked]
+        for intervention in due:
+            intervene(intervention, mission.scenario_at(time_s), simulation)
+        if asked:
+            agents.reconfigure(mission)
+        frames, dead = {}, mission.scenario.dead_units(time_s)
         for unit in dead:
             agents.lose(unit)
             network.forget(unit)
             world.fly(FlightCommand.hold(unit))
         taken = _units_with_frame(scenario, tick, dead)
-        kept = [unit for unit in taken if frame_rng.random() >= scenario.network.frame_loss]
+        kept = [unit for unit in taken if frame_rng.random() >= world.frame_losses[unit]]
         network.connect(world.in_range(), dead)
         for unit, sight in zip(kept, perception.look(world, kept, time_s), strict=True):
             decision = agents.decide(sight.detections, list(network.reports[unit].values()))
@@ -140,17 +165,15 @@ def run_steps(
             control_sets=dict(agents.sets),
             metrics=observer.observe(world.positions_m, agents.sets, dead, shape),
             roles=agents.roles,
+            interventions=tuple(due),
         )
         world.advance(command, time_s, scenario.step_s)
 
 
-def dead_units(scenario: Scenario, time_s: float) -> list[int]:
-    """Return the units that are in an outage now."""
-    return [
-        unit
-        for unit, model in enumerate(scenario.units)
-        if any(start <= time_s < end for start, end in model.outages)
-    ]
+def _due(waiting: deque[Intervention], time_s: float) -> Iterator[Intervention]:
+    """Remove and yield the interventions, in order, whose time has come."""
+    while waiting and waiting[0].at_s <= time_s + TIME_TOLERANCE_S:
+        yield waiting.popleft()
 
 
 def _units_with_frame(scenario: Scenario, tick: int, dead: list[int]) -> list[int]:

@@ -8,7 +8,6 @@ import pytest
 from skyherd.analysis.tree_snapshot import TreeHistory, tree_snapshot
 from skyherd.drawing.canvas import text_width
 from skyherd.drawing.palette import unit_rgb
-from skyherd.loop import dead_units
 from skyherd.messages import NO_ID
 from skyherd.messages.tree_status import TreeStatus
 from skyherd.video.composer import Composer
@@ -63,7 +62,7 @@ def test_snapshot_pairs_match_shared_robots(ideal_failure) -> None:
     mission, steps = ideal_failure
     watch, edges = TreeHistory(), 0
     for step in steps:
-        tree = watch.add(step, dead_units(mission.scenario, step.time_s))
+        tree = watch.add(step, mission.scenario.dead_units(step.time_s))
         for (j, k), link in tree.links.items():
             if link.is_mutual:
                 common = np.intersect1d(step.control_sets[j], step.control_sets[k])

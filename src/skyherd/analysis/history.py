@@ -15,7 +15,7 @@ from skyherd.analysis.tree_snapshot import TreeHistory, TreeSnapshot
 from skyherd.control import Template, control_matrix
 from skyherd.datasets import Mission, SizeModel
 from skyherd.geometry import Array, BoolArray, IntArray, to_complex
-from skyherd.loop import Step, UnitFrame, dead_units
+from skyherd.loop import Step, UnitFrame
 from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.sim.truth_metrics import affine_error
 from skyherd.sim.world import Fleet
@@ -279,7 +279,7 @@ def _suspects(step: Step, unit: int) -> bool:
 
 def _trees(mission: Mission, steps: list[Step]) -> list[TreeSnapshot | None]:
     history = TreeHistory()
-    return [history.add(step, dead_units(mission.scenario, step.time_s)) for step in steps]
+    return [history.add(step, mission.scenario.dead_units(step.time_s)) for step in steps]
 
 
 def _foreign_ids(mission: Mission, frames: list[UnitFrame]) -> list[int]:
@@ -291,8 +291,7 @@ def _foreign_ids(mission: Mission, frames: list[UnitFrame]) -> list[int]:
 
 
 def _goal_errors(mission: Mission, steps: list[Step]) -> Array:
-    cameras = [unit.camera.make() for unit in mission.scenario.units]
-    errors = np.full((len(steps), len(cameras)), np.nan)
+    errors = np.full((len(steps), len(mission.scenario.units)), np.nan)
     if mission.scenario.size != SizeModel():
         return errors
     points = mission.template.points_of(mission.ids).conj()
@@ -303,7 +302,8 @@ def _goal_errors(mission: Mission, steps: list[Step]) -> Array:
                 continue
             mine = np.searchsorted(mission.ids, goals.ids)
             template, positions = points[step.roles[mine]], to_complex(step.positions_m[mine])
-            errors[row, unit] = goal_error_m(frame, cameras[unit], step.fleet.pose(unit), template, positions)
+            camera, pose = mission.cameras_at(step.time_s)[unit], step.fleet.pose(unit)
+            errors[row, unit] = goal_error_m(frame, camera, pose, template, positions)
     return errors
 
 

@@ -181,7 +181,8 @@ def _out_of_radius(history: History, lost: IntArray) -> str:
     limit_m = scenario.autopilot.max_height_m
     if height_m * needed > limit_m:
         return f"too few units, since autopilot.max_height_m = {limit_m:g} is too low to see them all"
-    focal_px = scenario.units[unit].camera.make().focal_px * float(history.zooms[-1, unit])
+    camera = history.mission.cameras_at(float(history.times_s[-1]))[unit]
+    focal_px = camera.focal_px * float(history.zooms[-1, unit])
     if (side_px := focal_px * scenario.marker.side_m / (height_m * needed)) < MIN_MARKER_PX:
         need_m = f"{height_m * needed:.3g} m"
         return f"too few units, since from {need_m}, where all are in view, markers are {side_px:.2g} px wide"
@@ -300,13 +301,9 @@ def _decay_ps(times_s: Array, errors: Array) -> float | None:
 
 def _alive(history: History) -> list[int]:
     """Return the units that are not in an outage at the end."""
-    end_s, units = float(history.times_s[-1]), history.mission.scenario.units
-    outages = (model.outages for model in units)
-    return [
-        unit
-        for unit, spans in enumerate(outages)
-        if not any(start_s <= end_s < stop_s for start_s, stop_s in spans)
-    ]
+    scenario = history.mission.scenario
+    dead = scenario.dead_units(float(history.times_s[-1]))
+    return [unit for unit in range(len(scenario.units)) if unit not in dead]
 
 
 def _only(views: Views, units: list[int]) -> Views:

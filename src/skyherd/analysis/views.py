@@ -33,10 +33,12 @@ class Views:
     radii: Array
 
 
-def views_of(mission: Mission, fleet: Fleet, positions_m: Array, headings_rad: Array) -> Views:
-    """Return the views of robots at positions (N, 2), m, with headings (N,)."""
+def views_of(
+    mission: Mission, fleet: Fleet, positions_m: Array, headings_rad: Array, time_s: float = 0.0
+) -> Views:
+    """Return the views of robots at positions (N, 2), m, with headings (N,), by the cameras at a time, s."""
     scenario = mission.scenario
-    pairs = [(model.camera.make(), fleet.pose(unit)) for unit, model in enumerate(scenario.units)]
+    pairs = [(camera, fleet.pose(unit)) for unit, camera in enumerate(mission.cameras_at(time_s))]
     sides_px, radii = np.full((2, len(pairs), len(positions_m)), np.nan)
     side_m = scenario.marker.side_m
     card_m = side_m * card_side(scenario.marker.dictionary)
@@ -53,4 +55,5 @@ def views_of(mission: Mission, fleet: Fleet, positions_m: Array, headings_rad: A
 
 def views_at(history: History, row: int) -> Views:
     """Return the views at one step of a run."""
-    return views_of(history.mission, history.fleet(row), history.positions_m[row], history.headings_rad[row])
+    seen = history.positions_m[row], history.headings_rad[row]
+    return views_of(history.mission, history.fleet(row), *seen, float(history.times_s[row]))

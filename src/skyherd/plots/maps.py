@@ -107,7 +107,8 @@ def still_traces(history: History, unit: int) -> ComplexArray:
 
     NaN while the unit does not control a robot, and where the last image does not show its place.
     """
-    camera, pose = history.mission.scenario.units[unit].camera.make(), history.fleet(-1).pose(unit)
+    camera = history.mission.cameras_at(float(history.times_s[-1]))[unit]
+    pose = history.fleet(-1).pose(unit)
     places_m = history.positions_m
     matrix = homography_image_ground(camera, pose)
     flat_px = apply_homography(matrix, places_m)
@@ -224,7 +225,7 @@ def _start_and_end(color: str) -> list[Line2D]:
 
 def _footprint_m(history: History, unit: int) -> Array:
     """Return the ground points (4, 2) under the corners of a unit's last image."""
-    camera = history.mission.scenario.units[unit].camera.make()
+    camera = history.mission.cameras_at(float(history.times_s[-1]))[unit]
     return footprint_m(camera, history.fleet(-1).pose(unit))
 
 

@@ -81,6 +81,9 @@ def check_step(step: Step, mission: Mission) -> None:
     ):
         _require_floats(getattr(fleet, name), (units, *shape), f"fleet.{name}")
     _require(bool((fleet.zooms > 0).all() and (fleet.heights_m > 0).all()), "fleet: heights, zooms above 0")
+    for intervention in step.interventions:
+        problems = list(mission.scenario_at(step.time_s).intervention_problems(intervention))
+        _require(not problems, f"interventions: {problems}")
     _check_metrics(step, units)
     for unit, frame in step.frames.items():
         _require(0 <= unit < units, f"no unit {unit}")

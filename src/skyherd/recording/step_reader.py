@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from skyherd.control import Conditions, Decision, GroundMap, rectified
-from skyherd.datasets import Mission
+from skyherd.datasets import Mission, read_interventions
 from skyherd.files.images import decode_jpeg
 from skyherd.loop import Step, UnitFrame
 from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, VelocityCommand
@@ -26,6 +26,7 @@ def read_step(time_s: float, records: dict[str, Any], mission: Mission) -> Step:
         KeyError, TypeError, ValueError: a message is missing, or does not have this version's form.
         InputError: a message has impossible values.
     """
+    changes = records.get("/interventions", {"interventions": []})
     units = sorted(int(topic.split("/")[2]) for topic in records if topic.endswith("/detections"))
     observer, world = records["/metrics"], records["/world"]
     return Step(
@@ -49,6 +50,7 @@ def read_step(time_s: float, records: dict[str, Any], mission: Mission) -> Step:
             shape=ShapeFit(**observer["shape"]),
         ),
         roles=np.array(observer["roles"], dtype=np.int64),
+        interventions=read_interventions(changes["interventions"]),
     )
 
 

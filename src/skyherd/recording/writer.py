@@ -26,6 +26,7 @@ Topics, J being the number of a unit:
 /unit/J/image       the image, on request
 /robots/command     wheel velocities
 /world              true positions of robots and units
+/interventions      changes made to the simulation since the last step; missing without any
 /metrics            ground-truth metrics, last of a step
 ```
 
@@ -90,9 +91,10 @@ def recorded_topics(units: int) -> dict[str, Schema]:
         "/world": ("skyherd.World", OBJECT),
         "/metrics": ("skyherd.TruthMetrics", TruthMetrics),
     }
-    return of_team | {
+    of_units = {
         f"/unit/{unit}/{name}": schema for unit in range(units) for name, schema in UNIT_TOPICS.items()
     }
+    return of_team | of_units | {"/interventions": ("skyherd.Interventions", OBJECT)}
 
 
 class Recorder(Protocol):
@@ -160,6 +162,9 @@ class McapRecorder:
             "fleet": step.fleet,
         }
         self._log.put("/world", step.time_s, world)
+        if step.interventions:
+            changes = [intervention.model_dump(mode="json") for intervention in step.interventions]
+            self._log.put("/interventions", step.time_s, {"interventions": changes})
         record = {field.name: getattr(step.metrics, field.name) for field in fields(TruthMetrics)} | {
             "control_sets": step.control_sets,
             "commanded_ids": step.commanded_ids,

@@ -59,6 +59,12 @@ class UnitAgents:
         self.sets: dict[int, IntArray] = {unit: NO_ROBOTS for unit in units}
         self._unused = set(units)
 
+    def reconfigure(self, mission: Mission) -> None:
+        """Give all units the shapes of a changed mission, as an operator of the team does."""
+        self._mission = mission
+        for controller in self.controllers:
+            controller.schedule = mission.schedule
+
     def lose(self, unit: int) -> None:
         """Mark a unit as dead. Its replacement starts with a new controller, without memory."""
         if unit not in self._unused:

@@ -7,10 +7,11 @@ import numpy as np
 
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
-from skyherd.geometry import BoolArray, Image
-from skyherd.messages import Detections
+from skyherd.geometry import ROBOT_FRAME_CORNERS, BoolArray, Image, to_points
+from skyherd.markers.dictionary import card_side
+from skyherd.messages import Detections, among
 from skyherd.random_streams import RunStream, generator
-from skyherd.render import FrameTruth, Motion, Renderer, Shot, Shutter
+from skyherd.render import FrameTruth, Motion, Quad, Renderer, Shot, Shutter
 from skyherd.sim.projected_perception import ProjectedPerception
 from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
@@ -20,6 +21,9 @@ PLAIN_TO_SEE = 0.9
 """Minimum share of an image's markers that must be found to prove that it is not mirrored. Chosen: in a
 mirrored image the detector finds only markers that are their own mirror images, 4 of the 50 of 4X4_50. A
 share of one half could be reached in a small team with many of these."""
+
+COVER_LEVEL = 70.0
+"""Grey level of the card that covers a marker. Chosen: that of occluders in scenario files."""
 
 
 def make_perception(mission: Mission, rng: np.random.Generator) -> Perception:
@@ -100,6 +104,7 @@ class RenderedPerception(Perception):
     def shots(self, world: World, units: Sequence[int], time_s: float) -> Shots:
         """Return the content of the given units' images now: all data of the world that `take` needs."""
         markers = world.markers
+        occluders = [*self._occluders, *self._covers(world)]
         shots = [
             Shot(
                 world.cameras[unit],
@@ -107,13 +112,22 @@ class RenderedPerception(Perception):
                 markers.ids,
                 markers.positions_m,
                 markers.headings_rad,
-                motion=world.motion(unit) if self._moves else Motion(),
-                occluders=self._occluders,
+                motion=world.motion(unit) if self._moves or world.imaging[unit].exposure_s else Motion(),
+                occluders=occluders,
                 stream=unit,
+                imaging=world.imaging[unit],
             )
             for unit in units
         ]
         return Shots(time_s, shots)
+
+    def _covers(self, world: World) -> list[Quad]:
+        """Return cards of one grey level, each over the whole card of a covered marker."""
+        markers, card_side_m = world.markers, self.side_m * card_side(self.dictionary)
+        covered = among(markers.ids, world.covered_ids)
+        turned = card_side_m * ROBOT_FRAME_CORNERS * np.exp(1j * markers.headings_rad[covered])[:, None]
+        corners_m = to_points(turned) + markers.positions_m[covered][:, None]
+        return [Quad(corners, COVER_LEVEL) for corners in corners_m]
 
     def take(self, shot: Shot, time_s: float) -> Sight:
         """Render an image and detect the markers in it."""
@@ -132,7 +146,7 @@ class RenderedPerception(Perception):
 
     def skip(self, shot: Shot) -> None:
         """Skip an image that another process renders; the noise of later images stays the same."""
-        self.renderer.sensor.skip(shot.camera.size_px)
+        self.renderer.skip(shot)
 
     def _prove_unmirrored(self, unit: int, image: Image, found: int, found_whole: float) -> None:
         """Raise an error for a mirrored stream; called for each unit's images until one has a detection.

@@ -36,6 +36,7 @@ def make_world(mission: Mission) -> World:
             max_yaw_rate_radps=np.radians(scenario.autopilot.max_yaw_rate_degps),
         ),
         radio_range_m=scenario.network.range_m,
+        frame_loss=scenario.network.frame_loss,
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from skyherd.geometry import IntArray
 from skyherd.markers.dictionary import card_side, headings_of_corners, sides_of_corners
-from skyherd.messages import Detections, Quality
+from skyherd.messages import Detections, Quality, among
 from skyherd.render import TeamImage, project_team
 from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
@@ -40,9 +40,11 @@ class ProjectedPerception(Perception):
         """Project the markers into each unit's image."""
         views = [(world.cameras[unit], world.camera_pose(unit)) for unit in units]
         markers, card_side_m = world.markers, self.side_m * card_side(self.dictionary)
-        images = project_team(views, markers.positions_m, markers.headings_rad, self.side_m, card_side_m)
+        clear = ~among(markers.ids, world.covered_ids)
+        positions_m, headings_rad = markers.positions_m[clear], markers.headings_rad[clear]
+        images = project_team(views, positions_m, headings_rad, self.side_m, card_side_m)
         return [
-            self._sight(world, unit, time_s, image, markers.ids[image.rows])
+            self._sight(world, unit, time_s, image, markers.ids[clear][image.rows])
             for unit, image in zip(units, images, strict=True)
         ]
 

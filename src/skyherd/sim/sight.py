@@ -42,7 +42,8 @@ class Perception(Protocol):
         """Return the output of each given unit's camera now.
 
         Args:
-            world: ground truth: `world.cameras[unit]`, `world.camera_pose(unit)` and `world.markers`.
+            world: ground truth: `world.cameras[unit]`, `world.camera_pose(unit)`, `world.markers`,
+                `world.covered_ids` and `world.imaging[unit]`.
             units: units that take an image now, ascending, without dead units and lost frames.
             time_s: the time now. The method is called once per step, in the order of time, also without
                 units.

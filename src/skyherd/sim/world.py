@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
 from skyherd.messages import FlightCommand, VelocityCommand
-from skyherd.render import Camera, CameraPose, Motion
+from skyherd.render import Camera, CameraPose, Imaging, Motion
 from skyherd.sim.drive import Drive
 from skyherd.sim.sway import Sway
 
@@ -164,6 +165,13 @@ def _fly(fleet: Fleet, commands: Sequence[FlightCommand], *, limits: AutopilotLi
     )
 
 
+def _with_row(array: Array, row: int, value: npt.ArrayLike) -> Array:
+    """Return a copy of an array with another value of one row; steps keep the arrays of the world."""
+    changed = array.copy()
+    changed[row] = value
+    return changed
+
+
 class World:
     """True state of robots, obstacles and aerial units; `control` never has access to it.
 
@@ -173,6 +181,9 @@ class World:
         headings_rad: (N,) headings of the robots.
         fleet: state of the aerial units.
         cameras: (U,) cameras of the units, at a zoom of 1.
+        imaging: (U,) values of single cameras instead of those of all.
+        frame_losses: (U,) shares of the cameras' images that are lost.
+        covered_ids: markers of robots and obstacles that are covered by a card.
 
     Args:
         robots: the robots' markers at the start.
@@ -181,6 +192,7 @@ class World:
         units: the aerial units.
         autopilot: limits of their flight.
         radio_range_m: radio range between units, on the ground plane; None for no limit.
+        frame_loss: share of the images of each camera that is lost.
     """
 
     def __init__(
@@ -192,12 +204,16 @@ class World:
         units: Sequence[UnitParameters],
         autopilot: AutopilotLimits,
         radio_range_m: float | None = None,
+        frame_loss: float = 0.0,
     ) -> None:
         self.ids = robots.ids
         self.positions_m, self.headings_rad = robots.positions_m.copy(), robots.headings_rad.copy()
         self.cameras = [unit.camera for unit in units]
+        self.imaging = [Imaging()] * len(units)
+        self.frame_losses = [frame_loss] * len(units)
+        self.covered_ids: set[int] = set()
         self._obstacles, self._drive, self._autopilot = obstacles, drive, autopilot
-        self._units, self._radio_range_m = units, radio_range_m
+        self._units, self._radio_range_m = list(units), radio_range_m
         self._time_s = 0.0
         self._tilts_rad = np.array([unit.tilt_rad for unit in units])
         self._zoom_limits = np.array([unit.zoom_range for unit in units], dtype=float).T
@@ -223,6 +239,34 @@ class World:
             np.concatenate([self.positions_m, obstacles.positions_m]),
             np.concatenate([self.headings_rad, obstacles.headings_rad]),
         )
+
+    def place_robot(self, robot: int, position_m: npt.ArrayLike, heading_rad: float) -> None:
+        """Put a robot at a position (2,), m, with a heading, at rest until the next step."""
+        row = int(np.flatnonzero(self.ids == robot)[0])
+        mps, radps = self._rates
+        self.positions_m = _with_row(self.positions_m, row, position_m)
+        self.headings_rad = _with_row(self.headings_rad, row, heading_rad)
+        self._rates = _with_row(mps, row, 0.0), _with_row(radps, row, 0.0)
+
+    def place_unit(self, unit: int, position_m: npt.ArrayLike, height_m: float, yaw_rad: float) -> None:
+        """Put an aerial unit at a position (2,), m, a height and a yaw, at rest until the next step."""
+        self.fleet, self._fleet_before = (
+            replace(
+                fleet,
+                positions_m=_with_row(fleet.positions_m, unit, position_m),
+                heights_m=_with_row(fleet.heights_m, unit, height_m),
+                yaws_rad=_with_row(fleet.yaws_rad, unit, yaw_rad),
+            )
+            for fleet in (self.fleet, self._fleet_before)
+        )
+
+    def change_unit(self, unit: int, parameters: UnitParameters) -> None:
+        """Give a unit another camera, constant tilt and prescribed zoom; it stays where it is."""
+        flown = self.fleet.zooms / self._prescribed_zooms(self._time_s)
+        self._units[unit], self.cameras[unit] = parameters, parameters.camera
+        self._tilts_rad = _with_row(self._tilts_rad, unit, parameters.tilt_rad)
+        tilts_rad, zooms = self._swayed(self._time_s), self._limited(flown, self._time_s)
+        self.fleet = replace(self.fleet, tilts_rad=tilts_rad, zooms=zooms)
 
     def camera_pose(self, unit: int) -> CameraPose:
         """Return the present pose of one unit's camera."""

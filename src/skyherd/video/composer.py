@@ -8,7 +8,7 @@ from skyherd.datasets import Mission
 from skyherd.drawing.canvas import Color, draw_text, text_width, wrap_text
 from skyherd.drawing.palette import INK, MUTED, PAPER, WARNING, rgb, unit_rgb
 from skyherd.geometry import RgbImage
-from skyherd.loop import Step, UnitFrame, dead_units
+from skyherd.loop import Step, UnitFrame
 from skyherd.video.body_overlay import BodySizes, overlapping_ids
 from skyherd.video.camera_panel import CameraPanel
 from skyherd.video.curve_panel import Curve, CurvePanel
@@ -69,7 +69,7 @@ class Composer:
     def compose(self, step: Step) -> RgbImage:
         """Return the picture (height, width, 3) RGB of a step: read-only, overwritten by the next call."""
         self._last |= step.frames
-        dead = dead_units(self.mission.scenario, step.time_s)
+        dead = self.mission.scenario.dead_units(step.time_s)
         for unit in dead:
             self._last.pop(unit, None)
             self._cameras[unit].draw_dead()

@@ -77,7 +77,6 @@ class GroundPanel:
 
     def __init__(self, mission: Mission, panel: RgbImage) -> None:
         self.mission, self._panel = mission, panel
-        self._cameras = [unit.camera.make() for unit in mission.scenario.units]
         box = Box(
             left=LEFT_PX,
             top=TITLE_PX,
@@ -90,7 +89,7 @@ class GroundPanel:
         self._center_m, self._px_per_m = np.zeros(2), 0.0
         self._aim_m, self._aim_px_per_m = np.zeros(2), 0.0
         self._roles, self._exchanged_s = np.arange(mission.ids.size), np.full(mission.ids.size, -np.inf)
-        self._label_sides = [0] * len(self._cameras)
+        self._label_sides = [0] * len(mission.scenario.units)
         self._tree = TreeOverlay(mission.ids)
         self._title = panel[:TITLE_PX]
 
@@ -110,7 +109,8 @@ class GroundPanel:
             struck: ids of robots and obstacles whose bodies overlap.
         """
         self._write_title(tree)
-        corners_m = [footprint_m(c, step.fleet.pose(u)) for u, c in enumerate(self._cameras)]
+        cameras = self.mission.cameras_at(step.time_s)
+        corners_m = [footprint_m(camera, step.fleet.pose(unit)) for unit, camera in enumerate(cameras)]
         self._past_m.append(np.concatenate([step.positions_m, step.fleet.positions_m]))
         shape_m = self._shape_m(step)
         if self._follow(np.concatenate([step.positions_m, *shape_m])):

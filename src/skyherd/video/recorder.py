@@ -83,6 +83,7 @@ class _Ending:
         for unit in scenario.units:
             changes_s += [time_s for outage in unit.outages for time_s in outage]
             changes_s += [time_s for time_s, _ in unit.zoom]
+        changes_s += [intervention.at_s for intervention in scenario.interventions]
         self._least_s = max((time_s for time_s in changes_s if time_s <= scenario.duration_s), default=0.0)
 
     def shows(self, step: Step) -> bool:

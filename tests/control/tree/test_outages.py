@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyherd.datasets import load_mission, make_mission
-from skyherd.loop import Step, dead_units, run_steps
+from skyherd.loop import Step, run_steps
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.sim.physics import make_world
 from skyherd.sim.world import World
@@ -42,7 +42,7 @@ def test_dead_unit_has_no_image_no_set_and_no_motion(tree_of) -> None:
     assert [tick for tick, step in enumerate(steps) if 1 not in step.frames] == list(range(10, 20))
     assert all(0 in step.frames for step in steps)
     for step in between(steps, DIES_S, RETURNS_S):
-        assert dead_units(mission.scenario, step.time_s) == [1]
+        assert mission.scenario.dead_units(step.time_s) == [1]
         assert step.control_sets[1].size == 0 and step.control_sets[0].size == 6
         assert step.metrics.conditions.in_p, "one living unit with all robots"
     places = np.array([step.fleet.positions_m[1] for step in steps])
@@ -76,7 +76,7 @@ def test_outages_of_several_units_overlap(tree_of) -> None:
     scenario = make_mission(
         tree_of({"outages": [[0.0, 1.0], [2.0, 2.5]]}, {"outages": [[0.5, 2.2]]})
     ).scenario
-    dead = {time_s: dead_units(scenario, time_s) for time_s in (0.0, 0.5, 0.99, 1.0, 2.0, 2.2, 2.5)}
+    dead = {time_s: scenario.dead_units(time_s) for time_s in (0.0, 0.5, 0.99, 1.0, 2.0, 2.2, 2.5)}
     assert dead == {0.0: [0], 0.5: [0, 1], 0.99: [0, 1], 1.0: [1], 2.0: [0, 1], 2.2: [0], 2.5: []}
 
 

@@ -60,7 +60,7 @@ EACH_KIND = [
 
 
 class TestRecording:
-    def test_without_interventions_messages_are_unchanged_until_the_first(self, tmp_path) -> None:
+    def test_messages_are_unchanged_until_first_intervention(self, tmp_path) -> None:
         settings = [*IDEAL, "duration_s=3"]
         late = [{"at_s": 2.0, "kind": "robot", "robot": 0, "position_m": [0.0, 0.0]}]
         plain = messages(tmp_path / "a.mcap", mission_of("triangle", [], *settings))
@@ -71,7 +71,7 @@ class TestRecording:
 
     @pytest.mark.smoke
     def test_two_runs_of_every_kind_give_equal_messages(self, tmp_path) -> None:
-        small = ["units.*.camera.size_px=[256, 256]", "duration_s=1.2"]
+        small = ["units.*.camera={half_angle_deg = 35.0, size_px = [256, 256]}", "duration_s=1.2"]
         mission = mission_of("star", EACH_KIND, *small)
         one, two = (messages(tmp_path / f"{n}.mcap", mission) for n in range(2))
         assert one == two

@@ -20,6 +20,14 @@ pytestmark = pytest.mark.skipif(not can_help(), reason="processes are forked on 
 SMALL = ["units.*.camera.size_px=[320, 240]", "duration_s=0.8"]
 """Settings of a short run with small images."""
 
+INTERVENTIONS = """
+{at_s = 0.2, kind = "camera", unit = 1, noise = 6.0, psf_px = 1.3, exposure_s = 0.02},
+{at_s = 0.3, kind = "camera", unit = 2, noise = 0.0, frame_loss = 0.5},
+{at_s = 0.4, kind = "cover", marker = 3},
+{at_s = 0.5, kind = "kill", unit = 0}
+""".replace("\n", " ")
+"""Changes that reach the helpers of the cameras."""
+
 
 def everything(mission, jobs):
     """Return the bytes of all images and detections of a run, and of the positions of robots and units."""
@@ -41,8 +49,9 @@ def everything(mission, jobs):
         [],
         ["units.1.frame_rate_hz=4", "network.frame_loss=0.3", "sensor.shot=0.4", "sensor.jpeg_quality=80"],
         ["units.0.outages=[[0.0, 0.3]]", "sensor.noise=0"],
+        [f"interventions=[{INTERVENTIONS}]"],
     ],
-    ids=["usual", "frames lost and another sensor", "a unit that begins late"],
+    ids=["usual", "frames lost and another sensor", "a unit that begins late", "cameras that change"],
 )
 def test_results_are_the_same_for_any_number_of_jobs(settings):
     """Lost frames and units that start late change the order of images in the sequence of noise."""

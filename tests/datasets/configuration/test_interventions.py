@@ -124,7 +124,7 @@ def test_laws_from_literature_take_no_gains_and_no_shapes() -> None:
             star(of("kill"), of(kind), settings=("control.method=distances", "size.unit_m=1"))
 
 
-def test_settings_at_a_time_are_those_of_all_interventions_so_far() -> None:
+def test_settings_at_a_time_are_of_all_interventions_so_far() -> None:
     mission = star(
         of("camera", at_s=6.0, zoom=3.0),
         of("camera", at_s=3.0, aspect=1.2, psf_px=2.0),

@@ -79,7 +79,7 @@ SCENARIO = FileKind(
     _keys("name duration_s template robots marker units"),
     _keys(
         "description seed step_s perception detector control selection roles size avoidance autopilot "
-        "network sensor ground occluders obstacles goal video"
+        "network sensor ground occluders obstacles goal video interventions"
     ),
 )
 

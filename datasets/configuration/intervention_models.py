@@ -6,7 +6,7 @@ between two steps (`skyherd.sim.interventions`). Keys that are left out keep the
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, TypeAdapter, model_validator
+from pydantic import Field, model_validator
 
 from skyherd.datasets.configuration.camera_models import Aspect, DistortionModel
 from skyherd.datasets.configuration.fields import (
@@ -24,6 +24,7 @@ from skyherd.datasets.configuration.fields import (
 from skyherd.datasets.configuration.robot_models import MarkerId
 from skyherd.datasets.configuration.scene_models import Blur, Exposure, Gain, Grey
 from skyherd.datasets.configuration.template_models import ShapeModel
+from skyherd.datasets.configuration.validation import check_tree
 from skyherd.errors import InputError
 
 MAX_UNITS = 256
@@ -152,13 +153,19 @@ Intervention = Annotated[
 ]
 """Change of a running simulation."""
 
-_INTERVENTIONS: TypeAdapter[tuple[Intervention, ...]] = TypeAdapter(tuple[Intervention, ...])
+
+class InterventionList(Model):
+    """A list of interventions, as a part of a scenario or from another source."""
+
+    interventions: list[Intervention]
 
 
-def read_interventions(records: Any) -> tuple[Intervention, ...]:
-    """Return interventions from a list of plain tables, as `model_dump` makes them.
+def read_interventions(tables: Any) -> tuple[Intervention, ...]:
+    """Return interventions from a list of plain tables, as in TOML or in a recording.
 
     Raises:
-        ValueError: a table is not a valid intervention.
+        InputError: a table is not a valid intervention; one line for each problem.
     """
-    return _INTERVENTIONS.validate_python(records)
+    tree = {"interventions": list(tables) if isinstance(tables, tuple) else tables}
+    read = check_tree(InterventionList, tree, "read_interventions", see="skyherd scenario schema")
+    return tuple(read.interventions)

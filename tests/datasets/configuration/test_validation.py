@@ -79,6 +79,8 @@ def put(tree, path, value):
         elif part not in tree:
             tree[part] = [] if isinstance(following, int) else {}
         tree = tree[part]
+    if isinstance(tree, list):
+        tree.extend([{}] * (path[-1] + 1 - len(tree)))
     tree[path[-1]] = value
 
 

@@ -186,6 +186,6 @@ class CameraFaultModel(Model):
 class UnitCameraModel(CameraModel):
     """Camera of a unit, with its faults."""
 
-    faults: list[CameraFaultModel] = Field(
-        [], max_length=100, description="spans in which its images are old, with fresh time stamps"
+    faults: tuple[CameraFaultModel, ...] = Field(
+        (), max_length=100, description="spans in which its images are old, with fresh time stamps"
     )

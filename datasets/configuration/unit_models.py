@@ -123,7 +123,7 @@ class UnitModel(Model):
 
         Values of keys that neither the unit nor its camera has are ignored.
         """
-        camera = {key: value for key, value in values.items() if key in CameraModel.model_fields}
+        camera = {key: value for key, value in values.items() if key in UnitCameraModel.model_fields}
         own = {key: value for key, value in values.items() if key in type(self).model_fields}
         if "zoom" in own:
             own["zoom"] = [(0.0, own["zoom"])]

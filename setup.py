@@ -65,7 +65,7 @@ class PlatformDistribution(Distribution):
     """Distribution with compiled files."""
 
     def has_ext_modules(self) -> bool:
-        """Return that there are compiled files, although setuptools does not build them."""
+        """Return True: the wheel has compiled files, which setuptools does not know of."""
         return True
 
 

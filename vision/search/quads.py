@@ -1,8 +1,9 @@
 """Detection of dark quadrilaterals in an image.
 
-The compiled search (`skyherd.vision.native`) thresholds the places of an image with many dark pixels, follows
-the boundaries of the dark regions, and filters them by the compactness of their area. It selects four corner
-points on each boundary and fits a line to each side. This module has its parameters and the sizes of image.
+The compiled search (`skyherd.vision.native`) thresholds the places of an image with many dark pixels. It
+follows the boundaries of the dark regions, and filters them by the compactness of their area. It selects four
+corner points on each boundary, and fits a line to each side. This module has its parameters and the sizes of
+image.
 """
 
 import math

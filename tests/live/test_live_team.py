@@ -266,6 +266,6 @@ class TestUnitProcess:
         monkeypatch.setattr(
             DeferringDetector, "look_around", lambda own, image, *, unit_id: order.append(int(image[0, 0]))
         )
-        context = context_of(tmp_path / "run", lambda line: None, lambda: order[-1] == 90)
+        context = context_of(tmp_path / "run", lambda line: None, lambda: order[-1:] == [90])
         run_unit(context, 0, address=str(images), dry_run=True)
         assert order[-3:] == ["looked", "reported", 90]

@@ -100,7 +100,7 @@ def make_layout(
     pitch_u, pitch_v, columns, key = max(
         (block for block in blocks if block),
         key=lambda block: block[0] if rectified or block[2] == square else block[0] / MUCH_LARGER,
-        default=(0, 0, 0, Box(0, 0, 0, 0)),
+        default=(0, 0, 0, Box(left=0, top=0, width=0, height=0)),
     )
     if rectified and pitch_u < MIN_PAIR_PX:
         return make_layout(size_px, image_sizes_px, items)

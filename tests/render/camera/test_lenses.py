@@ -6,7 +6,7 @@ import pytest
 from reference import reference_light
 
 from skyherd.datasets import load_mission, make_mission
-from skyherd.datasets.configuration.camera_models import CameraModel
+from skyherd.datasets.configuration.camera_models import CameraModel, UnitCameraModel
 from skyherd.datasets.configuration.cameras import CAMERAS
 from skyherd.datasets.configuration.unit_models import UnitModel
 from skyherd.errors import InputError
@@ -203,7 +203,7 @@ def test_fisheye_preset_has_120_degrees():
 def test_markers_are_found_with_every_preset_camera(name, scenario_tree):
     """One image contains all six robots, with markers of at least 14 px."""
     tree = scenario_tree("triangle")
-    camera = CameraModel(preset=name)
+    camera = UnitCameraModel(preset=name)
     reach_m = 0.4 * min(camera.size_px) / camera.focal_length_px * 12.0
     tree["robots"] = {"scatter": {"scale_m": 0.5 * reach_m, "jitter_m": 0.1, "spacing_m": 0.8}}
     tree["units"] = [UnitModel(position_m=(0, 0), height_m=12.0, camera=camera).model_dump()]

@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, IntArray
@@ -108,7 +108,7 @@ class CommonFrame:
     @property
     def consistent(self) -> bool:
         """True if chance explains the residuals: no marker moved, and side and calibration fit."""
-        return not self.freedoms or float(chi2.sf(self.chi_squared, self.freedoms)) > OUTLIER_SHARE
+        return not self.freedoms or float(chdtrc(self.freedoms, self.chi_squared)) > OUTLIER_SHARE
 
     def marker_covariances(self) -> Array:
         """Return the covariances (M, 6, 6) of (δt, δθ) of the markers."""

@@ -17,19 +17,21 @@ PAGE = Path(__file__).parents[1] / "docs" / "extending.md"
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory) -> dict:
-    """Run the blocks of the page as one script, and return the names that they define.
+    """Run the blocks of the page as one script in a new folder, and return the names that they define.
 
     `last_steps` has the last step of each mission that the script runs to its end.
     """
-    names: dict = {"folder": tmp_path_factory.mktemp("extending") / "run", "last_steps": []}
+    folder = tmp_path_factory.mktemp("extending")
+    names: dict = {"last_steps": []}
     text = PAGE.read_text("utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(panels, "PANELS", panels.PANELS[:1])
+        patch.chdir(folder)
         for block in re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE):
             exec(compile(block, str(PAGE), "exec"), names)
             if "step" in names:
                 names["last_steps"].append(names.pop("step"))
-    return names
+    return names | {"folder": folder / names["folder"]}
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,7 @@ from scipy.stats import beta
 
 from skyherd.files.atomic import write_text
 from skyherd.geometry import Array
-from skyherd.markers.dictionary import cells_per_side, dictionary_size, marker_cells
+from skyherd.markers.dictionary import all_marker_cells, cells_per_side
 from skyherd.vision import create_detector
 
 Pattern = npt.NDArray[np.float32]
@@ -140,8 +140,9 @@ def _ground(rng: np.random.Generator) -> Pattern:
 
 @lru_cache(maxsize=8)
 def _codewords(dictionary: str) -> frozenset[bytes]:
-    cells = [marker_cells(dictionary, number) for number in range(dictionary_size(dictionary))]
-    return frozenset(np.rot90(one, turn).tobytes() for one in cells for turn in range(4))
+    return frozenset(
+        np.rot90(one, turn).tobytes() for one in all_marker_cells(dictionary) for turn in range(4)
+    )
 
 
 def is_codeword(pattern: Pattern, dictionary: str) -> bool:

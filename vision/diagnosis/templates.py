@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import BoolArray, IntArray
-from skyherd.markers.dictionary import dictionary_size, marker_cells
+from skyherd.markers.dictionary import all_marker_cells
 from skyherd.vision.blurred_cells import blurred_darkness, standardised
 
 FIRST_BLUR_CELLS = 0.3
@@ -60,8 +60,8 @@ def blurred_levels(white: BoolArray, blur_cells: float, per_cell: int) -> npt.ND
 @lru_cache(maxsize=4)
 def load_templates(dictionary: str) -> Templates:
     """Return the templates of a dictionary; the last four dictionaries are kept."""
-    count = dictionary_size(dictionary)
-    cells = np.stack([marker_cells(dictionary, k) for k in range(count)])
+    cells = all_marker_cells(dictionary)
+    count = len(cells)
     sides = (cells, cells[:, :, ::-1])
     white = np.concatenate([np.rot90(side, turn, (1, 2)) for side in sides for turn in range(4)])
     levels = blurred_levels(white, FIRST_BLUR_CELLS, 1)

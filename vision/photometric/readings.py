@@ -16,7 +16,7 @@ from scipy.special import ndtri
 
 from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.markers.blur_model import gather
-from skyherd.markers.dictionary import dictionary_size, marker_cells
+from skyherd.markers.dictionary import all_marker_cells
 from skyherd.vision.blurred_cells import standardised
 from skyherd.vision.grey import Image, block_means, sample_grey
 from skyherd.vision.row_record import RowRecord
@@ -180,7 +180,7 @@ def nearest_codes(readings: Readings, dictionary: str) -> IntArray:
 @lru_cache(maxsize=16)
 def black_cells(dictionary: str) -> npt.NDArray[np.float32]:
     """Return the black cells (4 D, n, n) of all codes, 1 for black."""
-    cells = np.stack([marker_cells(dictionary, i) for i in range(dictionary_size(dictionary))])
+    cells = all_marker_cells(dictionary)
     turned = np.stack([np.rot90(cells, -turn, axes=(1, 2)) for turn in range(4)], axis=1)
     return (~turned).reshape(-1, *cells.shape[1:]).astype(np.float32)
 

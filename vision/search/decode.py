@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex
-from skyherd.markers.dictionary import cells_per_side, dictionary_size, marker_cells
+from skyherd.markers.dictionary import all_marker_cells, cells_per_side
 from skyherd.vision.blurred_cells import blurred_darkness, standardised
 from skyherd.vision.grey import sample_grey
 from skyherd.vision.row_record import RowRecord
@@ -88,7 +88,7 @@ def decode_quads(
         return no_decoded_quads()
     corners = to_complex(quads_px)
     n_cells = cells_per_side(dictionary)
-    cells = _read_cells(image, corners, n_cells)
+    cells = read_cells(image, corners, n_cells)
     cells_px = np.abs(np.roll(corners, 1, axis=1) - corners).mean(axis=1) / n_cells
     usual = _most_alike(cells, dictionary, sigma_px / cells_px)
     blurred = _most_alike(cells, dictionary, np.full(cells_px.size, BLURRED_CELLS))
@@ -160,7 +160,7 @@ def _bucket(blur_cells: float) -> int:
 @lru_cache(maxsize=32)
 def _codes(dictionary: str, bucket: int) -> BlurredCodes:
     """Return the codes of a dictionary under a blur of `BLUR_STEP ** bucket` cells. The cache holds 32."""
-    cells = np.stack([marker_cells(dictionary, i) for i in range(dictionary_size(dictionary))])
+    cells = all_marker_cells(dictionary)
     dark = blurred_darkness(cells, BLUR_STEP**bucket, samples_per_cell=1, samples=SAMPLES_PER_CELL)
     codes = np.stack([np.rot90(dark, -turn, axes=(1, 2)) for turn in range(4)], axis=1)
     darkness = codes.reshape(4 * len(cells), -1)
@@ -168,7 +168,7 @@ def _codes(dictionary: str, bucket: int) -> BlurredCodes:
     return BlurredCodes(patterns, darkness.mean(axis=1), darkness.std(axis=1))
 
 
-def _read_cells(image: npt.NDArray[np.uint8], corners: ComplexArray, n_cells: int) -> npt.NDArray[np.float32]:
+def read_cells(image: npt.NDArray[np.uint8], corners: ComplexArray, n_cells: int) -> npt.NDArray[np.float32]:
     """Return the grey levels (N, n²) of the cells in quadrilaterals (N, 4), row-major from corner 0."""
     samples = SAMPLES_PER_CELL
     at = (np.arange(samples * n_cells) + 0.5) / (samples * n_cells)

@@ -32,9 +32,6 @@ OPENCV_PREFIX = "DICT_"
 DISTANCE_SAMPLE = 200
 """Number of markers whose distances to all others are computed. Chosen: at most a second of work."""
 
-MIDDLE_GREY = 127
-"""Grey level above which a cell drawn by OpenCV is white. *Derived*: cells are drawn as 0 or 255."""
-
 
 def dictionary_names() -> list[str]:
     """List the names of OpenCV's dictionaries, without `DICT_`, and of the generated ones."""
@@ -142,9 +139,28 @@ def marker_cells(name: str, marker_id: int) -> npt.NDArray[np.bool_]:
     """
     if not 0 <= marker_id < dictionary_size(name):
         raise InputError("marker id", f"{marker_id} is not in {name}", f"0 to {dictionary_size(name) - 1}")
-    n = cells_per_side(name)
-    drawn = cv2.aruco.generateImageMarker(load_dictionary(name), marker_id, n, borderBits=border_cells(name))
-    cells = np.asarray(drawn) > MIDDLE_GREY
+    return np.asarray(all_marker_cells(name)[marker_id], dtype=bool)
+
+
+@cache
+def all_marker_cells(name: str) -> npt.NDArray[np.bool_]:
+    """Return the white cells (D, n, n) of all markers of a dictionary with their borders, read-only.
+
+    OpenCV keeps the bits of a marker in four turns, one after the other. They run row by row, eight to a
+    byte; the last byte has the rest in its low bits.
+
+    Raises:
+        InputError: there is no such dictionary.
+    """
+    dictionary, border = load_dictionary(name), border_cells(name)
+    count, per_side = dictionary_size(name), int(dictionary.markerSize)
+    whole, rest = divmod(per_side**2, 8)
+    packed = np.asarray(dictionary.bytesList, dtype=np.uint8).reshape(count, 4, -1)[:, 0]
+    bits = np.unpackbits(packed[:, :whole], axis=1)
+    if rest:
+        bits = np.hstack([bits, np.unpackbits(packed[:, whole:], axis=1)[:, -rest:]])
+    cells = np.zeros((count, per_side + 2 * border, per_side + 2 * border), dtype=bool)
+    cells[:, border:-border, border:-border] = bits.reshape(count, per_side, per_side)
     cells.setflags(write=False)
     return cells
 
@@ -156,9 +172,7 @@ def code_distance(name: str) -> int:
     In dictionaries of more than `DISTANCE_SAMPLE` markers, only the first ones are compared with all.
     """
     border = border_cells(name)
-    bits = np.stack(
-        [marker_cells(name, i)[border:-border, border:-border] for i in range(dictionary_size(name))]
-    )
+    bits = all_marker_cells(name)[:, border:-border, border:-border]
     turned = np.concatenate([np.rot90(bits, turn, axes=(1, 2)) for turn in range(4)]).reshape(
         4 * len(bits), -1
     )

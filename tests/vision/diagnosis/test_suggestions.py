@@ -6,13 +6,8 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision import create_detector
-from skyherd.vision.diagnosis.suggestions import (
-    MarkerPrint,
-    _decodable,
-    _largest_of_series,
-    find_dictionary,
-    suggest,
-)
+from skyherd.vision.diagnosis.print_evidence import _log_evidence, _log_ratios, all_prints, rank_prints
+from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
 
 IDS = [4, 11, 30]
 
@@ -110,14 +105,62 @@ def test_larger_dictionary_of_series_is_named_with_inversion() -> None:
     )
 
 
-@pytest.mark.parametrize("name", ["5X5_1900", "6X6_250", "7X7_8000", "APRILTAG_36h10", "ARUCO_MIP_36h12"])
-def test_joint_reading_of_all_codes_keeps_every_dictionary(name) -> None:
-    """The dictionaries that OpenCV reads one by one are among those kept; of an empty image none is."""
-    image, kind = drawn([0, 7, 49], dictionary=name), MarkerPrint()
-    kept = _decodable(image, kind, 3)
-    reads = {one for one in _largest_of_series() if create_detector("opencv", dictionary=one).detect(image)}
-    assert reads and reads <= set(kept) and len(kept) < len(_largest_of_series())
-    assert _decodable(np.full((120, 160), 140, np.uint8), kind, 1) == []
+SMALLEST_WITH_49 = [
+    "4X4_50",
+    "5X5_50",
+    "6X6_50",
+    "7X7_50",
+    "APRILTAG_36h10",
+    "APRILTAG_36h11",
+    "ARUCO_MIP_36h12",
+]
+LARGE = [
+    ("5X5_1900", 1899),
+    ("6X6_250", 249),
+    ("6X6_7900", 7899),
+    ("7X7_8000", 7999),
+    ("ARUCO_ORIGINAL", 1000),
+]
+
+
+@pytest.mark.parametrize(("name", "last"), [*((name, 49) for name in SMALLEST_WITH_49), *LARGE])
+def test_find_dictionary_names_the_smallest_with_all_ids(name, last) -> None:
+    assert find_dictionary(drawn([0, 7, last], dictionary=name)) == name
+
+
+def test_mirrored_markers_of_other_print_get_one_advice() -> None:
+    image = np.ascontiguousarray(drawn(dictionary="6X6_50@2")[:, ::-1])
+    assert suggest(image, "4X4_50") == (
+        "its markers are mirrored, drawn with a border of 2 cell(s) and of another dictionary; "
+        "flip it left to right and try --border-bits 2 --dictionary 6X6_50"
+    )
+
+
+def test_evidence_of_random_bits_obeys_its_bound() -> None:
+    """At most `exp(-E)` of images without markers have evidence E; one marker in ten squares has more."""
+    rng, codes, bits = np.random.default_rng(5), 200, 16
+    patterns = rng.integers(0, 2, (codes, bits))
+    evidence = []
+    for _ in range(4000):
+        squares = rng.integers(0, 2, (10, bits))
+        wrong = (squares[:, None] != patterns).sum(axis=2).min(axis=1)
+        evidence.append(_log_evidence(_log_ratios(wrong, bits, codes), np.arange(10)))
+    for least in (0.0, 1.0, 2.0, 3.0):
+        assert np.mean(np.array(evidence) >= least) <= np.exp(-least)
+    wrong[0] = 0
+    assert _log_evidence(_log_ratios(wrong, bits, codes), np.arange(10)) > 0
+    assert _log_evidence(np.full(10, np.log(1e6)), np.arange(10)) > 100
+
+
+def test_squares_of_one_place_count_once() -> None:
+    ratios = np.array([5.0, 5.0, 5.0])
+    one, three = (_log_evidence(ratios, np.array(places)) for places in ([0, 0, 0], [0, 1, 2]))
+    assert one == pytest.approx(_log_evidence(ratios[:1], np.array([0])))
+    assert three > one + 5
+
+
+def test_blank_image_has_no_evidence() -> None:
+    assert rank_prints(np.full((120, 160), 140, np.uint8), all_prints(mirrored=True)) == []
 
 
 def test_nothing_is_suggested_for_an_image_of_nothing() -> None:

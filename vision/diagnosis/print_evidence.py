@@ -1,0 +1,220 @@
+"""Evidence in an image for markers of every dictionary in every print: one search, all codes.
+
+A print is how the markers of a dictionary are drawn and seen: the width of their border, black on white or
+white on black, mirrored or not. The image and its negative are searched for dark squares, as the detector
+does. In each square the cells of every grid are read as bits, and compared with all codes of that size.
+
+With B bits of which w are wrong, p the probability of a wrong bit and C codes, turns included, the likelihood
+ratio of a square to bits by chance is
+
+    L = (2 (1 - p))^(B - w) (2 p)^w / C.
+
+Of N squares that have the border of a print, an unknown share q shows markers. The evidence for the print is
+`log mean_q Π (1 - q + q L)`. By chance the mean of that product is 1, so that evidence of E or more occurs in
+at most `exp(-E)` of images without such markers (Markov's inequality).
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.geometry import Array, IntArray, to_complex
+from skyherd.markers.dictionary import (
+    MAX_BORDER_BITS,
+    all_marker_cells,
+    dictionary_names,
+    dictionary_size,
+    load_dictionary,
+)
+from skyherd.vision.grey import Image
+from skyherd.vision.search.decode import MIN_CELL_DEVIATION, read_cells
+from skyherd.vision.search.quads import find_quads, find_small_quads
+
+WRONG_BIT = 0.05
+"""Probability that a bit is read wrongly. Chosen: a code of 16 bits stays likelier than chance with one wrong
+bit, one of 36 bits with eight."""
+
+MAX_WRONG_BORDER = 0.15
+"""Largest share of the border's cells that may be light. Chosen: glare on three of 20 cells."""
+
+WHITE_PERCENTILE = 85
+"""Percentile of a square's cells that is taken as white. Chosen: an eighth of a marker's cells are white at
+least, and the brightest may be glare."""
+
+SHARES = tuple(2.0**-k for k in range(9))
+"""Shares of squares that show markers, with equal prior probability. Chosen: from all to one in 256."""
+
+
+class MarkerPrint(NamedTuple):
+    """Print of markers.
+
+    Attributes:
+        border_bits: width of their black border, in cells.
+        inverted: whether they are white on black.
+        mirrored: whether the image shows them mirrored.
+    """
+
+    border_bits: int = 1
+    inverted: bool = False
+    mirrored: bool = False
+
+
+class PrintEvidence(NamedTuple):
+    """Evidence in an image for markers of one dictionary in one print.
+
+    Attributes:
+        dictionary: the smallest of its series that has all ids that were read.
+        kind: the print.
+        log_evidence: as the module defines it.
+    """
+
+    dictionary: str
+    kind: MarkerPrint
+    log_evidence: float
+
+
+def all_prints(*, mirrored: bool) -> list[MarkerPrint]:
+    """Return all prints, with or without mirrored ones."""
+    return [
+        MarkerPrint(border_bits, inverted, flipped)
+        for flipped in ((False, True) if mirrored else (False,))
+        for inverted in (False, True)
+        for border_bits in range(1, MAX_BORDER_BITS + 1)
+    ]
+
+
+def rank_prints(image: Image, prints: Iterable[MarkerPrint]) -> list[PrintEvidence]:
+    """Return the evidence for the best dictionary of each print, in descending order.
+
+    Args:
+        image: grey, (height, width).
+        prints: to consider.
+    """
+    prints, ranked = list(prints), list[PrintEvidence]()
+    for inverted in sorted({kind.inverted for kind in prints}):
+        seen = np.asarray(cv2.bitwise_not(image), dtype=np.uint8) if inverted else image
+        quads = np.concatenate([find_quads(seen), find_small_quads(seen, np.zeros((0, 4, 2)))])
+        if not len(quads):
+            continue
+        for border_bits in sorted({kind.border_bits for kind in prints if kind.inverted == inverted}):
+            kinds = [kind for kind in prints if kind[:2] == (border_bits, inverted)]
+            for cells in _series_by_size():
+                squares = _read_squares(seen, quads, cells, border_bits)
+                if len(squares.bits):
+                    ranked += [_best_of_size(squares, cells, kind) for kind in kinds]
+    return sorted(ranked, key=lambda evidence: -evidence.log_evidence)
+
+
+@dataclass(frozen=True)
+class _Squares:
+    """Bits of N squares with a dark border.
+
+    Attributes:
+        bits: (N, B) 1 where a cell is white, -1 where it is black, row by row from corner 0.
+        places: (N,) number of each square's place, from 0; squares that overlap share a place.
+    """
+
+    bits: npt.NDArray[np.float32]
+    places: IntArray
+
+
+def _read_squares(image: Image, quads_px: Array, cells: int, border_bits: int) -> _Squares:
+    """Return the squares with a dark border of a width, and the bits of their inner cells."""
+    n = cells + 2 * border_bits
+    levels = read_cells(image, to_complex(quads_px), n).astype(float)
+    is_border = np.ones((n, n), dtype=bool)
+    is_border[border_bits:-border_bits, border_bits:-border_bits] = False
+    outer, inner = levels[:, is_border.ravel()], levels[:, ~is_border.ravel()]
+    black, white = np.median(outer, axis=1), np.percentile(levels, WHITE_PERCENTILE, axis=1)
+    middle = np.asarray(black + white)[:, None] / 2
+    dark = ((outer > middle).mean(axis=1) <= MAX_WRONG_BORDER) & (levels.std(axis=1) >= MIN_CELL_DEVIATION)
+    bits = np.where(inner[dark] > middle[dark], 1, -1).astype(np.float32)
+    return _Squares(bits, _places(quads_px[dark]))
+
+
+def _places(quads_px: Array) -> IntArray:
+    """Return the number (N,) of the place of each quadrilateral (N, 4, 2).
+
+    Two overlap if their centres are less than half the shorter one's side apart, such as those of one region
+    before and after erosion.
+    """
+    corners = to_complex(quads_px)
+    centers, sides = corners.mean(axis=1), np.abs(np.roll(corners, 1, axis=1) - corners).mean(axis=1)
+    overlaps = np.abs(centers[:, None] - centers) < np.minimum(sides[:, None], sides) / 2
+    places, count = np.full(len(quads_px), -1), 0
+    for row in range(len(quads_px)):
+        if places[row] < 0:
+            places[overlaps[row] & (places < 0)] = count
+            count += 1
+    return places
+
+
+def _best_of_size(squares: _Squares, cells: int, kind: MarkerPrint) -> PrintEvidence:
+    """Return the evidence for the best dictionary of a size of code."""
+    given = [_of_series(squares, names, kind) for names in _series_by_size()[cells]]
+    return max(given, key=lambda evidence: evidence.log_evidence)
+
+
+def _of_series(squares: _Squares, names: tuple[str, ...], kind: MarkerPrint) -> PrintEvidence:
+    """Return the evidence for the best of dictionaries that begin with the same markers, smallest first."""
+    count = dictionary_size(names[-1])
+    codes = _codes(names[-1], mirrored=kind.mirrored)
+    agreement = (squares.bits @ codes.T).reshape(len(squares.bits), 4, count)
+    best = []
+    for name in names:
+        size = dictionary_size(name)
+        rows = agreement[:, :, :size].reshape(len(squares.bits), -1)
+        wrong = (squares.bits.shape[1] - rows.max(axis=1)) / 2
+        ratios = _log_ratios(wrong, squares.bits.shape[1], 4 * size)
+        best.append(PrintEvidence(name, kind, _log_evidence(ratios, squares.places)))
+    return max(best, key=lambda evidence: evidence.log_evidence)
+
+
+def _log_ratios(wrong: Array, bits: int, codes: int) -> Array:
+    """Return the log likelihood ratios (N,) of squares with wrong bits (N,) to bits by chance."""
+    right, off = math.log(2 * (1 - WRONG_BIT)), math.log(2 * WRONG_BIT)
+    return np.asarray((bits - wrong) * right + wrong * off - math.log(codes))
+
+
+def _log_evidence(ratios: Array, places: IntArray) -> float:
+    """Return the log evidence of squares with log likelihood ratios (N,) at places (N,).
+
+    The squares of one place are one observation: the likeliest counts.
+    """
+    best = np.full(places.max() + 1, -np.inf)
+    np.maximum.at(best, places, ratios)
+    shares = np.array(SHARES)[:, None]
+    with np.errstate(divide="ignore"):  # all squares may be markers
+        products = np.logaddexp(np.log1p(-shares), np.log(shares) + best).sum(axis=1)
+    return float(np.logaddexp.reduce(products) - math.log(len(SHARES)))
+
+
+@lru_cache(maxsize=32)
+def _codes(name: str, *, mirrored: bool) -> npt.NDArray[np.float32]:
+    """Return the bits (4 D, B) of all markers in four turns, turn by turn, as 1 and -1."""
+    cells = all_marker_cells(name)[:, 1:-1, 1:-1]
+    cells = cells[:, :, ::-1] if mirrored else cells
+    turned = np.concatenate([np.rot90(cells, turn, (1, 2)) for turn in range(4)])
+    return np.where(turned, 1, -1).astype(np.float32).reshape(len(turned), -1)
+
+
+@cache
+def _series_by_size() -> dict[int, list[tuple[str, ...]]]:
+    """Return the dictionaries by bits along a side, in series that begin with the same markers.
+
+    Of names that differ in capitals alone one is kept. The dictionaries of a series are in ascending size.
+    """
+    series: dict[tuple[int, bytes], list[str]] = {}
+    for name in {name.lower(): name for name in dictionary_names()}.values():
+        key = int(load_dictionary(name).markerSize), all_marker_cells(name)[0].tobytes()
+        series.setdefault(key, []).append(name)
+    by_size: dict[int, list[tuple[str, ...]]] = {}
+    for (cells, _), names in sorted(series.items()):
+        by_size.setdefault(cells, []).append(tuple(sorted(names, key=dictionary_size)))
+    return by_size

@@ -18,10 +18,9 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from scipy.special import ndtr
 
 from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.markers.blur_model import gather
+from skyherd.markers.blur_model import gather, normal_cdf
 from skyherd.markers.dictionary import border_cells, cells_per_side, dictionary_size
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.pattern_fit import columns_of, densities, fit_cards, fit_patterns, whiteness
@@ -31,6 +30,7 @@ from skyherd.vision.photometric.readings import (
     Readings,
     black_cells,
     cell_edges,
+    cell_shares,
     draw_codes,
     exposed,
     nearest_codes,
@@ -295,7 +295,7 @@ def _log_bits(
 def _stretches(n_cells: int, blur: float) -> Array:
     """Return shares (S, side) of all stretches along an axis that a light rectangle may cover."""
     edges = np.arange(0.5, n_cells - 0.49, RECTANGLE_STEP)
-    steps = ndtr((part_places(n_cells)[None] - edges[:, None]) / blur)
+    steps = normal_cdf((part_places(n_cells)[None] - edges[:, None]) / blur)
     low, high = np.triu_indices(edges.size, k=2)
     return np.asarray(steps[low] - steps[high])
 
@@ -304,7 +304,7 @@ def _log_rectangles(readings: Readings, blur: tuple[float, float], *, clips: boo
     """Return the log posterior (N,) of light rectangles in a dark square, by the best of them."""
     n = readings.n_cells
     along, down = (_stretches(n, value) for value in blur)
-    square = [gather(part_places(n), cell_edges(1, n, value, clips=clips), value)[:, 0] for value in blur]
+    square = [cell_shares(1, n, value, clips=clips)[:, 0] for value in blur]
     ground = 1 - square[1][:, None] * square[0]
     side, other = len(ground), ground - ground.mean()
     images = readings.levels.reshape(-1, side, side)
@@ -336,9 +336,7 @@ def _log_grids(
         size = (bits + 2, bits + 2)
         black = np.stack([cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in inside]) < 0.5
         black[:, [0, -1]] = black[:, :, [0, -1]] = True
-        along, down = (
-            gather(part_places(n), cell_edges(bits + 2, n, value, clips=clips), value) for value in blur
-        )
+        along, down = (cell_shares(bits + 2, n, value, clips=clips) for value in blur)
         drawn.append(exposed(1 - down @ black.astype(float) @ along.T, clips).reshape(len(inside), -1))
     fits = fit_cards(readings, np.stack(drawn, axis=1))
     costs = -math.log(2) * np.square(others)

@@ -8,11 +8,11 @@ in the same parts under several blurs (`skyherd.markers.blur_model`).
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import isqrt
+from statistics import NormalDist
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri
 
 from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.markers.blur_model import gather
@@ -195,8 +195,14 @@ def cell_edges(bits: int, n_cells: int, blur_cells: float, *, clips: bool) -> Ar
 
     Clipping moves the place where a blurred edge has half of the contrast, so that the square seems smaller.
     """
-    moved = float(ndtri(1 - 0.5 / CLIPPED_GAIN)) * blur_cells if clips else 0.0
+    moved = NormalDist().inv_cdf(1 - 0.5 / CLIPPED_GAIN) * blur_cells if clips else 0.0
     return np.linspace(-moved, n_cells + moved, bits + 1)
+
+
+@lru_cache(maxsize=512)
+def cell_shares(bits: int, n_cells: int, blur_cells: float, *, clips: bool) -> Array:
+    """Return the share (side, bits) of each cell of `cell_edges` in each part along an axis, under a blur."""
+    return gather(part_places(n_cells), cell_edges(bits, n_cells, blur_cells, clips=clips), blur_cells)
 
 
 def draw_codes(
@@ -245,16 +251,9 @@ def _drawn_most_alike(
 def _gathers(n_cells: int, clips: bool) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Return weights (blurs, side, n) of a row's cells at its parts, along the rows and along the columns."""
     along, down = (
-        np.stack(
-            [
-                gather(
-                    part_places(n_cells),
-                    cell_edges(n_cells, n_cells, blur[axis], clips=clips),
-                    blur[axis],
-                )
-                for blur in BLURS_CELLS
-            ]
-        ).astype(np.float32)
+        np.stack([cell_shares(n_cells, n_cells, blur[axis], clips=clips) for blur in BLURS_CELLS]).astype(
+            np.float32
+        )
         for axis in (0, 1)
     )
     return along, down

@@ -17,9 +17,9 @@ from enum import Enum
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import ndtr
 
 from skyherd.geometry import Array, BoolArray
+from skyherd.markers.blur_model import normal_cdf
 from skyherd.vision.photometric.fitting.fit import has_outlier_pixels
 from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
 
@@ -152,7 +152,7 @@ def _integral_tables() -> tuple[Array, Array]:
     """`∫ E` over the wrong cell itself and `∫ E²` over all, each (400,), at the tabulated blurs."""
     x = (np.arange(SPAN_CELLS * SAMPLES_PER_CELL) + 0.5) / SAMPLES_PER_CELL - SPAN_CELLS / 2
     sigma = np.exp(_LOG_SIGMAS)[:, None]
-    seen = ndtr((x + 0.5) / sigma) - ndtr((x - 0.5) / sigma)
+    seen = normal_cdf((x + 0.5) / sigma) - normal_cdf((x - 0.5) / sigma)
     own = seen[:, np.abs(x) < 1 / 2].mean(axis=1)
     return own, (seen**2).sum(axis=1) / SAMPLES_PER_CELL
 

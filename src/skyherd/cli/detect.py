@@ -14,6 +14,7 @@ from skyherd.errors import InputError
 
 if TYPE_CHECKING:
     from skyherd.inspection import FileResult
+    from skyherd.poses import Calibration
 
 SHOWN_IDS = 16
 """Ids listed of one file before an ellipsis. Chosen: they fit on a line of 80 characters."""
@@ -84,18 +85,16 @@ def detect(
     Exit code 0 when done, 1 with --require if a file has none, 2 for bad input.
     """
     from skyherd.inspection import AUTO, DETECTIONS, Inspector, output_name
-    from skyherd.poses import check_side, read_calibration
 
     if kind not in TABLE_FORMATS:
         raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(TABLE_FORMATS)}")
-    side_m = None if marker_side_m is None else check_side("--marker-side-m", marker_side_m)
-    if camera is not None and side_m is None:
+    if camera is not None and marker_side_m is None:
         raise InputError(
             "--camera", "given without --marker-side-m", "both: the side is the scale of the poses"
         )
     if one_plane and camera is None:
         raise InputError("--one-plane", "given without --camera", "a calibration")
-    calibration = None if camera is None else read_calibration(camera)
+    side_m, calibration = _metric_options(marker_side_m, camera)
     if target.suffix in (".toml", ".mcap"):
         from skyherd.datasets import refuse_configuration
 
@@ -126,6 +125,18 @@ def detect(
     if any(result.trouble for result in results):
         return 2
     return 1 if require and not all(result.ids for result in results) else 0
+
+
+def _metric_options(
+    marker_side_m: float | None, camera: str | None
+) -> tuple[float | None, "Calibration | None"]:
+    """Return the side, m, and the calibration; import `skyherd.poses` only if metres are asked for."""
+    if marker_side_m is None:
+        return None, None
+    from skyherd.poses import check_side, read_calibration
+
+    side_m = check_side("--marker-side-m", marker_side_m)
+    return side_m, None if camera is None else read_calibration(camera)
 
 
 def _say_results(results: list["FileResult"]) -> None:

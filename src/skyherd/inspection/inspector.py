@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
@@ -19,7 +20,6 @@ from skyherd.files.video_reader import find_files, is_video, open_clip, read_cli
 from skyherd.files.video_writer import VideoSink
 from skyherd.inspection.annotator import Annotator
 from skyherd.inspection.file_result import FileResult
-from skyherd.inspection.metres import GROUND_COLUMNS, POSE_COLUMNS, MetricColumns
 from skyherd.inspection.output_names import picture_names
 from skyherd.inspection.table import (
     DETECTION_COLUMNS,
@@ -35,7 +35,6 @@ from skyherd.inspection.table import (
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.markers.dictionary import canonical_name, load_dictionary, with_border
 from skyherd.messages import Detections
-from skyherd.poses import Calibration, check_side
 from skyherd.vision import (
     DEFAULT_DICTIONARY,
     Detector,
@@ -44,6 +43,10 @@ from skyherd.vision import (
     find_dictionary,
     suggest,
 )
+
+if TYPE_CHECKING:  # metres need SciPy's optimization, which takes long to import and few detections ask for
+    from skyherd.inspection.metres import MetricColumns
+    from skyherd.poses import Calibration
 
 DETECTIONS = "detections"
 """Name of the table of detections, without suffix."""
@@ -94,13 +97,13 @@ class Inspector:
         explained: bool = False,
         kind: Format = "csv",
         side_m: float | None = None,
-        calibration: Calibration | None = None,
+        calibration: "Calibration | None" = None,
         one_plane: bool = False,
         progress: Progress = NO_PROGRESS,
     ) -> None:
         if calibration is not None and side_m is None:
             raise InputError("calibration", "given without side_m", "both, or side_m alone")
-        self._side_m = None if side_m is None else check_side("side_m", side_m)
+        self._side_m = None if side_m is None else _checked_side(side_m)
         self._calibration, self._one_plane = calibration, one_plane
         self.detector, self.explained, self.kind = detector, explained, kind
         self.dictionary = dictionary if dictionary == AUTO else canonical_name(dictionary)
@@ -160,8 +163,7 @@ class Inspector:
         if not target.is_dir():
             _check_readable(target)
         with output, ExitStack() as stack:
-            metric = GROUND_COLUMNS if self._calibration is None else POSE_COLUMNS
-            columns = [*DETECTION_COLUMNS, *(metric if self._side_m else [])]
+            columns = [*DETECTION_COLUMNS, *self._metric_names()]
             tables = [self._open(stack, folder / DETECTIONS, columns)]
             if self.explained:
                 tables.append(self._open(stack, folder / REJECTIONS, REJECTION_COLUMNS))
@@ -172,8 +174,18 @@ class Inspector:
     def _open(self, stack: ExitStack, path: Path, columns: list[str]) -> Table:
         return stack.enter_context(open_table(path.with_suffix(f".{self.kind}"), columns, self.kind))
 
-    def _metric_columns(self, side_m: float) -> MetricColumns:
+    def _metric_names(self) -> list[str]:
+        """Return the names of the columns in metres."""
+        if self._side_m is None:
+            return []
+        from skyherd.inspection.metres import GROUND_COLUMNS, POSE_COLUMNS
+
+        return GROUND_COLUMNS if self._calibration is None else POSE_COLUMNS
+
+    def _metric_columns(self, side_m: float) -> "MetricColumns":
         """Return the measurements in metres of a new file."""
+        from skyherd.inspection.metres import MetricColumns
+
         return MetricColumns(
             side_m,
             self._calibration,
@@ -251,6 +263,12 @@ class Inspector:
             for row in rejection_rows(place, result.rejections):
                 tables[1].add(row)
         return found
+
+
+def _checked_side(side_m: float) -> float:
+    from skyherd.poses import check_side
+
+    return check_side("side_m", side_m)
 
 
 def _check_any_readable(target: Path, results: list[FileResult]) -> None:

@@ -7,10 +7,10 @@ A card is a grid of uniform cells. Its image under a Gaussian of standard deviat
 with L the cells' grey levels, e their edges and Φ the normal distribution.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtr
 
 from skyherd.geometry import UNIFORM_VARIANCE, Array
 from skyherd.markers.dictionary import QUIET_ZONE_CELLS
@@ -48,6 +48,18 @@ class Gathered:
     curvature: Array
 
 
+def normal_cdf(x: Array) -> Array:
+    """Return Φ(x), the normal distribution function, at each element of an array of any shape.
+
+    It needs no import of SciPy, which would take a fifth of a second when a program starts.
+    """
+    return np.asarray(_ERFC(x / -math.sqrt(2)), dtype=float) / 2
+
+
+_ERFC = np.frompyfunc(math.erfc, 1, 1)
+"""Complementary error function of each element."""
+
+
 def gather(x: Array, edges: Array, sigma: float) -> Array:
     """Return the weight E (samples, cells) of each cell under a Gaussian at each x.
 
@@ -56,7 +68,7 @@ def gather(x: Array, edges: Array, sigma: float) -> Array:
         edges: (cells + 1,) of the cells, ascending.
         sigma: standard deviation of the Gaussian; all in one unit.
     """
-    steps = ndtr((x[:, None] - edges[None, :]) / sigma)
+    steps = normal_cdf((x[:, None] - edges[None, :]) / sigma)
     return np.asarray(steps[:, :-1] - steps[:, 1:])
 
 

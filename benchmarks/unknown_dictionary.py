@@ -5,7 +5,8 @@
 Of each set the first images in which the default detector finds markers are used. `find_dictionary` is told
 the print, and is right if it names a dictionary of the set's series. `suggest` is told another dictionary,
 one cell of border and black on white, and is right if its words name the series and every option that
-differs. Times are processor times of one thread, relative to a detection with the right dictionary.
+differs. Advice to those who look for the right markers counts as needless. Times are processor times of one
+thread, relative to a detection with the right dictionary.
 """
 
 import argparse
@@ -29,12 +30,12 @@ def same_series(name: str | None, other: str) -> bool:
     return name is not None and np.array_equal(marker_cells(name, 0), marker_cells(other, 0))
 
 
-def measure(image_set: ImageSet, most: int) -> tuple[int, int, int, list[float], list[float]]:
-    """Return the images used, those answered rightly by both functions, and their relative times."""
+def measure(image_set: ImageSet, most: int) -> tuple[list[int], list[float], list[float]]:
+    """Return images used, right answers of both functions, needless advice, and the times of both."""
     options, right = image_set.marker_options(), image_set.dictionary
     detector = create_detector(dictionary=right, repeats=True, **options)
     wrong = OTHER[marker_cells(right, 0).shape[0] != 7]
-    images, named, advised = 0, 0, 0
+    counts = np.zeros(4, dtype=int)
     find_ratios, suggest_ratios = list[float](), list[float]()
     for _, image in image_set.images():
         began_s = process_time()
@@ -50,11 +51,12 @@ def measure(image_set: ImageSet, most: int) -> tuple[int, int, int, list[float],
         name = re.search(r"--dictionary (\S+)", words)
         kind = ("--border-bits" in words) == ("border_bits" in options and options["border_bits"] != 1)
         kind &= ("--inverted" in words) == bool(options.get("inverted"))
-        images, named = images + 1, named + same_series(found, right)
-        advised += kind and same_series(name and name[1], right)
-        if images == most:
+        advised = kind and same_series(name and name[1], right)
+        needless = suggest(image, right, **options) is not None
+        counts += [1, same_series(found, right), advised, needless]
+        if counts[0] == most:
             break
-    return images, named, advised, find_ratios, suggest_ratios
+    return counts.tolist(), find_ratios, suggest_ratios
 
 
 def main() -> None:
@@ -64,14 +66,16 @@ def main() -> None:
     parser.add_argument("--sets", type=Path, required=True)
     parser.add_argument("--images", type=int, default=8, help="images of a set, at most")
     options = parser.parse_args()
-    print("| set | images | dictionary found | advice right | time of finding | time of advice |")
-    print("| --- " * 6 + "|")
+    print(
+        "| set | images | dictionary found | advice right | advice needless | time of finding | of advice |"
+    )
+    print("| --- " * 7 + "|")
     with one_thread():
         for image_set in load_image_sets(options.folder, options.sets):
-            images, named, advised, *ratios = measure(image_set, options.images)
-            if images:
-                told = " | ".join(f"{np.median(times):.1f}" for times in ratios)
-                print(f"| {image_set.name} | {images} | {named} | {advised} | {told} |", flush=True)
+            counts, *ratios = measure(image_set, options.images)
+            if counts[0]:
+                cells = [*map(str, counts), *(f"{np.median(times):.1f}" for times in ratios)]
+                print(f"| {image_set.name} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

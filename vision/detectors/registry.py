@@ -246,6 +246,11 @@ def explain_mirrored(image: Image, dictionary: str) -> str | None:
     # The mirror image of most images has no marker, and the second detection is then not needed.
     if not flipped or flipped <= (found := len(detector.detect(image))):
         return None
+    return describe_mirrored(found, flipped)
+
+
+def describe_mirrored(found: int, flipped: int) -> str:
+    """Return the message about a mirrored image with `found` markers and `flipped` in its mirror image."""
     decoded = "no marker decodes" if found == 0 else f"only {found} symmetric marker(s) decode"
     return (
         f"the image is mirrored: {decoded} in it, {flipped} in its mirror image; "

@@ -9,9 +9,12 @@ ratio of a square to bits by chance is
 
     L = (2 (1 - p))^(B - w) (2 p)^w / C.
 
-Of N squares that have the border of a print, an unknown share q shows markers. The evidence for the print is
-`log mean_q Π (1 - q + q L)`. By chance the mean of that product is 1, so that evidence of E or more occurs in
-at most `exp(-E)` of images without such markers (Markov's inequality).
+Its mean over random bits is 1 at most, as w is the least over all codes and C sums over them. Squares of one
+place are not independent; their mean of L has the same bound. Of N places that have the border of a print, an
+unknown share q shows markers. The evidence for a dictionary in a print is `log mean_q Π (1 - q + q L)`. By
+chance the mean of this product is again 1 at most, so that evidence of E or more occurs in at most `exp(-E)`
+of images of random bits (Markov's inequality). What people draw is not random: the detector has to confirm
+what is found.
 """
 
 import math
@@ -31,24 +34,23 @@ from skyherd.markers.dictionary import (
     dictionary_names,
     dictionary_size,
     load_dictionary,
+    sides_of_corners,
 )
+from skyherd.vision.diagnosis.quad_reading import WHITE_PERCENTILE
 from skyherd.vision.grey import Image
+from skyherd.vision.photometric.candidates import overlaps
 from skyherd.vision.search.decode import MIN_CELL_DEVIATION, read_cells
 from skyherd.vision.search.quads import find_quads, find_small_quads
 
 WRONG_BIT = 0.05
-"""Probability that a bit is read wrongly. Chosen: a code of 16 bits stays likelier than chance with one wrong
-bit, one of 36 bits with eight."""
+"""Probability that a bit is read wrongly. Chosen: a marker of 4X4_50 stays likelier than chance with one
+wrong bit, one of 36h11 with five."""
 
 MAX_WRONG_BORDER = 0.15
 """Largest share of the border's cells that may be light. Chosen: glare on three of 20 cells."""
 
-WHITE_PERCENTILE = 85
-"""Percentile of a square's cells that is taken as white. Chosen: an eighth of a marker's cells are white at
-least, and the brightest may be glare."""
-
 SHARES = tuple(2.0**-k for k in range(9))
-"""Shares of squares that show markers, with equal prior probability. Chosen: from all to one in 256."""
+"""Shares of places that show markers, with equal prior probability. Chosen: from all to one in 256."""
 
 
 class MarkerPrint(NamedTuple):
@@ -65,11 +67,20 @@ class MarkerPrint(NamedTuple):
     mirrored: bool = False
 
 
+ALL_PRINTS = tuple(
+    MarkerPrint(border_bits, inverted, mirrored)
+    for mirrored in (False, True)
+    for inverted in (False, True)
+    for border_bits in range(1, MAX_BORDER_BITS + 1)
+)
+"""All prints; of those with equal evidence the first is preferred."""
+
+
 class PrintEvidence(NamedTuple):
     """Evidence in an image for markers of one dictionary in one print.
 
     Attributes:
-        dictionary: the smallest of its series that has all ids that were read.
+        dictionary: its name.
         kind: the print.
         log_evidence: as the module defines it.
     """
@@ -79,18 +90,10 @@ class PrintEvidence(NamedTuple):
     log_evidence: float
 
 
-def all_prints(*, mirrored: bool) -> list[MarkerPrint]:
-    """Return all prints, with or without mirrored ones."""
-    return [
-        MarkerPrint(border_bits, inverted, flipped)
-        for flipped in ((False, True) if mirrored else (False,))
-        for inverted in (False, True)
-        for border_bits in range(1, MAX_BORDER_BITS + 1)
-    ]
-
-
 def rank_prints(image: Image, prints: Iterable[MarkerPrint]) -> list[PrintEvidence]:
-    """Return the evidence for the best dictionary of each print, in descending order.
+    """Return the evidence for the likeliest dictionary of each print and size of code, in descending order.
+
+    A mirrored print is left out where the same print as it is explains the squares as well.
 
     Args:
         image: grey, (height, width).
@@ -107,7 +110,9 @@ def rank_prints(image: Image, prints: Iterable[MarkerPrint]) -> list[PrintEviden
             for cells in _series_by_size():
                 squares = _read_squares(seen, quads, cells, border_bits)
                 if len(squares.bits):
-                    ranked += [_best_of_size(squares, cells, kind) for kind in kinds]
+                    given = [_best_of_size(squares, cells, kind) for kind in kinds]
+                    plain = max((one[2] for one in given if not one.kind.mirrored), default=-np.inf)
+                    ranked += [one for one in given if not one.kind.mirrored or one.log_evidence > plain]
     return sorted(ranked, key=lambda evidence: -evidence.log_evidence)
 
 
@@ -127,11 +132,11 @@ class _Squares:
 def _read_squares(image: Image, quads_px: Array, cells: int, border_bits: int) -> _Squares:
     """Return the squares with a dark border of a width, and the bits of their inner cells."""
     n = cells + 2 * border_bits
-    levels = read_cells(image, to_complex(quads_px), n).astype(float)
+    levels = read_cells(image, to_complex(quads_px), n)
     is_border = np.ones((n, n), dtype=bool)
     is_border[border_bits:-border_bits, border_bits:-border_bits] = False
     outer, inner = levels[:, is_border.ravel()], levels[:, ~is_border.ravel()]
-    black, white = np.median(outer, axis=1), np.percentile(levels, WHITE_PERCENTILE, axis=1)
+    black, white = np.median(outer, axis=1), np.percentile(inner, WHITE_PERCENTILE, axis=1)
     middle = np.asarray(black + white)[:, None] / 2
     dark = ((outer > middle).mean(axis=1) <= MAX_WRONG_BORDER) & (levels.std(axis=1) >= MIN_CELL_DEVIATION)
     bits = np.where(inner[dark] > middle[dark], 1, -1).astype(np.float32)
@@ -139,18 +144,12 @@ def _read_squares(image: Image, quads_px: Array, cells: int, border_bits: int) -
 
 
 def _places(quads_px: Array) -> IntArray:
-    """Return the number (N,) of the place of each quadrilateral (N, 4, 2).
-
-    Two overlap if their centres are less than half the shorter one's side apart, such as those of one region
-    before and after erosion.
-    """
-    corners = to_complex(quads_px)
-    centers, sides = corners.mean(axis=1), np.abs(np.roll(corners, 1, axis=1) - corners).mean(axis=1)
-    overlaps = np.abs(centers[:, None] - centers) < np.minimum(sides[:, None], sides) / 2
+    """Return the number (N,) of the place of each quadrilateral (N, 4, 2); those of a place overlap."""
+    overlapping = overlaps(to_complex(quads_px).mean(axis=1), sides_of_corners(quads_px))
     places, count = np.full(len(quads_px), -1), 0
     for row in range(len(quads_px)):
         if places[row] < 0:
-            places[overlaps[row] & (places < 0)] = count
+            places[overlapping[row] & (places < 0)] = count
             count += 1
     return places
 
@@ -183,15 +182,16 @@ def _log_ratios(wrong: Array, bits: int, codes: int) -> Array:
 
 
 def _log_evidence(ratios: Array, places: IntArray) -> float:
-    """Return the log evidence of squares with log likelihood ratios (N,) at places (N,).
+    """Return the log evidence of squares with log likelihood ratios (N,) at places (N,), N of 1 or more.
 
-    The squares of one place are one observation: the likeliest counts.
+    The squares of one place are one observation, by the mean of their ratios.
     """
-    best = np.full(places.max() + 1, -np.inf)
-    np.maximum.at(best, places, ratios)
+    sums = np.full(places.max() + 1, -np.inf)
+    np.logaddexp.at(sums, places, ratios)
+    means = sums - np.log(np.bincount(places))
     shares = np.array(SHARES)[:, None]
     with np.errstate(divide="ignore"):  # all squares may be markers
-        products = np.logaddexp(np.log1p(-shares), np.log(shares) + best).sum(axis=1)
+        products = np.logaddexp(np.log1p(-shares), np.log(shares) + means).sum(axis=1)
     return float(np.logaddexp.reduce(products) - math.log(len(SHARES)))
 
 

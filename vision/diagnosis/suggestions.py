@@ -1,20 +1,25 @@
-"""What an image with few detections most likely needs: to be flipped, another print, or another dictionary.
+"""Advice for an image with few detections: to flip it, or to use another print or another dictionary.
 
 The evidence of the image's dark and light squares ranks all prints of all dictionaries (`print_evidence`).
 The default detector confirms the best of them.
 """
 
-import cv2
+import math
+
 import numpy as np
 
-from skyherd.markers.dictionary import canonical_name, with_border
-from skyherd.vision.detectors.registry import create_detector, explain_mirrored
-from skyherd.vision.diagnosis.print_evidence import MarkerPrint, PrintEvidence, all_prints, rank_prints
+from skyherd.markers.dictionary import canonical_name, load_dictionary, with_border
+from skyherd.vision.detectors.registry import DEFAULT_DICTIONARY, create_detector, describe_mirrored
+from skyherd.vision.diagnosis.print_evidence import ALL_PRINTS, MarkerPrint, PrintEvidence, rank_prints
 from skyherd.vision.grey import Image, check_grey
 
 MIN_LOG_EVIDENCE = 0.0
-"""Smallest evidence of a print that the detector is asked to confirm. Derived: from there on the image speaks
-for the print. A single marker of 16 bits among ten other dark squares has 1 to 2."""
+"""Smallest evidence of a print that the detector is asked to confirm. Derived: from there on markers are more
+probable than chance. A single marker of 16 bits among ten other dark squares has 1 to 2."""
+
+LOG_ODDS_OF_DIFFERENCE = -math.log(10)
+"""Prior log odds of each way in which a print differs from the one looked for: by its border, its colours, or
+as a mirror image. Chosen: most users name the print of their markers rightly."""
 
 MAX_CONFIRMED = 3
 """Number of prints that the detector is asked to confirm. Chosen: each takes the time of a detection."""
@@ -36,17 +41,18 @@ def suggest(image: Image, dictionary: str, *, border_bits: int = 1, inverted: bo
         InputError: the image is not a grey one of 8 bits, or there is no such dictionary or border.
     """
     image, dictionary = check_grey(image), canonical_name(dictionary)
-    with_border(dictionary, border_bits)
+    load_dictionary(with_border(dictionary, border_bits))
     looked_for = PrintEvidence(dictionary, MarkerPrint(border_bits, inverted), -np.inf)
-    ranked = rank_prints(image, all_prints(mirrored=True))
+    ranked = rank_prints(image, ALL_PRINTS)
     own = next((one for one in ranked if one[:2] == looked_for[:2]), looked_for)
     found: int | None = None
-    for best in _likely(ranked):
+    for best in _likely(ranked, looked_for.kind):
         if best == own or best.log_evidence < own.log_evidence:
             continue
         found = _count(image, looked_for) if found is None else found
-        if _count(image, best) > found:
-            return _in_words(image, looked_for, best)
+        if (there := _count(image, best)) > found:
+            is_only_mirrored = best[:2] == (dictionary, looked_for.kind._replace(mirrored=True))
+            return describe_mirrored(found, there) if is_only_mirrored else _in_words(looked_for, best)
     return None
 
 
@@ -65,14 +71,21 @@ def find_dictionary(image: Image, *, border_bits: int = 1, inverted: bool = Fals
         InputError: the image is not a grey one of 8 bits, or the border not one of 1 to 3 cells.
     """
     image = check_grey(image)
-    with_border("4X4_50", border_bits)
-    ranked = _likely(rank_prints(image, [MarkerPrint(border_bits, inverted)]))
+    with_border(DEFAULT_DICTIONARY, border_bits)
+    kind = MarkerPrint(border_bits, inverted)
+    ranked = _likely(rank_prints(image, [kind]), kind)
     return next((best.dictionary for best in ranked if _count(image, best)), None)
 
 
-def _likely(ranked: list[PrintEvidence]) -> list[PrintEvidence]:
-    """Return the first prints that have evidence."""
-    return [best for best in ranked[:MAX_CONFIRMED] if best.log_evidence >= MIN_LOG_EVIDENCE]
+def _likely(ranked: list[PrintEvidence], looked_for: MarkerPrint) -> list[PrintEvidence]:
+    """Return the prints to confirm, by their posterior log odds in descending order."""
+
+    def log_odds(there: PrintEvidence) -> float:
+        differences = sum(own != other for own, other in zip(there.kind, looked_for, strict=True))
+        return there.log_evidence + differences * LOG_ODDS_OF_DIFFERENCE
+
+    likely = [one for one in ranked if one.log_evidence >= MIN_LOG_EVIDENCE]
+    return sorted(likely, key=log_odds, reverse=True)[:MAX_CONFIRMED]
 
 
 def _count(image: Image, there: PrintEvidence) -> int:
@@ -87,7 +100,7 @@ def _count(image: Image, there: PrintEvidence) -> int:
     return len(detector.detect(image))
 
 
-def _in_words(image: Image, looked_for: PrintEvidence, there: PrintEvidence) -> str:
+def _in_words(looked_for: PrintEvidence, there: PrintEvidence) -> str:
     """Return the differences of the markers in an image from those looked for, with all options for them."""
     facts, options = [], []
     if there.kind.border_bits != looked_for.kind.border_bits:
@@ -102,15 +115,10 @@ def _in_words(image: Image, looked_for: PrintEvidence, there: PrintEvidence) -> 
     elif there.kind.inverted < looked_for.kind.inverted:
         facts.insert(0, "black on white")
         options.append("without --inverted")
-    if not there.kind.mirrored:
-        return f"its markers are {_listed(facts)}; try {' '.join(options)}"
-    if not facts:
-        named = with_border(looked_for.dictionary, looked_for.kind.border_bits)
-        negative = np.asarray(cv2.bitwise_not(image), dtype=np.uint8)
-        return explain_mirrored(negative if looked_for.kind.inverted else image, named) or ""
-    return (
-        f"its markers are {_listed(['mirrored', *facts])}; flip it left to right and try {' '.join(options)}"
-    )
+    tried = " ".join(options)
+    if there.kind.mirrored:
+        return f"its markers are {_listed(['mirrored', *facts])}; flip it left to right and try {tried}"
+    return f"its markers are {_listed(facts)}; try {tried}"
 
 
 def _listed(facts: list[str]) -> str:

@@ -98,20 +98,28 @@ def outside_markers(quads_px: Array, known: LocalHomographies) -> BoolArray:
     return np.asarray((distance > known.sides_px() / 2).all(axis=1))
 
 
+def overlaps(centers: ComplexArray, sides_px: Array) -> BoolArray:
+    """Return which of N squares overlap (N, N), each with itself too.
+
+    Two overlap if their centres are less than half the shorter one's side apart, such as those of both
+    boundaries of a marker's border, or of one region before and after erosion.
+    """
+    reach_px = np.minimum(sides_px[:, None], sides_px) / 2
+    return np.asarray(np.abs(centers[:, None] - centers) < reach_px)
+
+
 def non_maximum_suppression(
     ids: IntArray, centers: ComplexArray, sides_px: Array, merits: Array
 ) -> BoolArray:
     """Return the mask (N,) kept by non-maximum suppression among overlapping detections of one id.
 
-    Two of one id overlap if their centres are less than half the shorter one's side apart, such as those of
-    both boundaries of a marker's border. The one of greater merit is kept.
+    The one of greater merit is kept.
     """
-    reach_px = np.minimum(sides_px[:, None], sides_px) / 2
-    overlaps = (np.abs(centers[:, None] - centers) < reach_px) & (ids[:, None] == ids)
+    rivals = overlaps(centers, sides_px) & (ids[:, None] == ids)
     kept = np.ones(ids.size, dtype=bool)
     for row in np.argsort(-merits):
         if kept[row]:
-            kept &= ~overlaps[:, row]
+            kept &= ~rivals[:, row]
             kept[row] = True
     return kept
 

@@ -4,10 +4,19 @@ import numpy as np
 import pytest
 
 from skyherd.errors import InputError
-from skyherd.markers.dictionary import marker_cells
+from skyherd.markers.dictionary import marker_cells, with_border
 from skyherd.vision import create_detector
-from skyherd.vision.diagnosis.print_evidence import _log_evidence, _log_ratios, all_prints, rank_prints
-from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
+from skyherd.vision.diagnosis import suggestions
+from skyherd.vision.diagnosis.print_evidence import (
+    ALL_PRINTS,
+    MarkerPrint,
+    PrintEvidence,
+    _log_evidence,
+    _log_ratios,
+    _read_squares,
+    rank_prints,
+)
+from skyherd.vision.diagnosis.suggestions import _likely, find_dictionary, suggest
 
 IDS = [4, 11, 30]
 
@@ -128,6 +137,58 @@ def test_find_dictionary_names_the_smallest_with_all_ids(name, last) -> None:
     assert find_dictionary(drawn([0, 7, last], dictionary=name)) == name
 
 
+@pytest.mark.parametrize("border_bits", [1, 2, 3])
+@pytest.mark.parametrize("seed", range(4))
+def test_find_dictionary_reads_noisy_markers_of_every_border(border_bits, seed) -> None:
+    """Behind a wide border few cells are white: 3 to 12 of 100 with 16 bits and three cells of border."""
+    rng = np.random.default_rng(seed)
+    image = drawn(rng.choice(50, 3, replace=False).tolist(), dictionary=with_border("4X4_50", border_bits))
+    noisy = np.clip(image + rng.normal(0, 5, image.shape), 0, 255).round().astype(np.uint8)
+    assert find_dictionary(noisy, border_bits=border_bits) == "4X4_50"
+
+
+def test_smaller_dictionary_of_the_same_markers_is_not_advised() -> None:
+    """It has more evidence, and no more markers."""
+    assert suggest(drawn(), "4X4_100") is None
+
+
+def test_print_with_less_evidence_than_the_given_one_is_not_tried(monkeypatch) -> None:
+    tried = []
+    monkeypatch.setattr(suggestions, "_count", lambda image, there: tried.append(there) or len(tried))
+    image = drawn()
+    assert len(rank_prints(image, ALL_PRINTS)) > 1
+    assert suggest(image, "4X4_50") is None and tried == []
+
+
+def test_each_difference_of_a_print_needs_ten_times_the_evidence() -> None:
+    plain, other = MarkerPrint(), MarkerPrint(2, inverted=True)
+    given = [
+        PrintEvidence("5X5_50", other, 5.0),
+        PrintEvidence("5X5_50", MarkerPrint(2), 3.0),
+        PrintEvidence("5X5_50", plain, 1.0),
+        PrintEvidence("4X4_50", plain, -0.1),
+    ]
+    assert [one.log_evidence for one in _likely(given, plain)] == [1.0, 3.0, 5.0]
+    assert [one.log_evidence for one in _likely(given, other)] == [5.0, 3.0, 1.0]
+
+
+@pytest.mark.parametrize(("light", "squares"), [(0, 1), (3, 1), (4, 0)])
+def test_square_with_light_cells_in_its_border_is_not_read(light, squares) -> None:
+    cells = np.pad(marker_cells("4X4_50", 4)[1:-1, 1:-1], 1)
+    cells[0, 1 : 1 + light] = True
+    image = np.kron(np.where(cells, 230, 30), np.ones((8, 8))).astype(np.uint8)
+    corners_px = np.array([[[-0.5, -0.5], [47.5, -0.5], [47.5, 47.5], [-0.5, 47.5]]])
+    read = _read_squares(image, corners_px, 4, 1)
+    assert len(read.bits) == squares
+    if squares:
+        np.testing.assert_array_equal(read.bits[0].reshape(4, 4) > 0, cells[1:-1, 1:-1])
+
+
+def test_unknown_dictionary_is_refused_also_without_evidence() -> None:
+    with pytest.raises(InputError, match="no dictionary"):
+        suggest(np.full((120, 160), 140, np.uint8), "4X4_51")
+
+
 def test_mirrored_markers_of_other_print_get_one_advice() -> None:
     image = np.ascontiguousarray(drawn(dictionary="6X6_50@2")[:, ::-1])
     assert suggest(image, "4X4_50") == (
@@ -140,13 +201,15 @@ def test_evidence_of_random_bits_obeys_its_bound() -> None:
     """At most `exp(-E)` of images without markers have evidence E; one marker in ten squares has more."""
     rng, codes, bits = np.random.default_rng(5), 200, 16
     patterns = rng.integers(0, 2, (codes, bits))
-    evidence = []
+    products = []
     for _ in range(4000):
-        squares = rng.integers(0, 2, (10, bits))
+        squares = rng.integers(0, 2, (30, bits))
         wrong = (squares[:, None] != patterns).sum(axis=2).min(axis=1)
-        evidence.append(_log_evidence(_log_ratios(wrong, bits, codes), np.arange(10)))
-    for least in (0.0, 1.0, 2.0, 3.0):
-        assert np.mean(np.array(evidence) >= least) <= np.exp(-least)
+        products.append(np.exp(_log_evidence(_log_ratios(wrong, bits, codes), np.arange(30) // 3)))
+    assert np.mean(products) <= 1 + 3 * np.std(products) / np.sqrt(len(products))
+    for least in (1.0, 2.0, 3.0):
+        assert np.mean(np.log(products) >= least) <= np.exp(-least)
+    wrong = wrong[:10]
     wrong[0] = 0
     assert _log_evidence(_log_ratios(wrong, bits, codes), np.arange(10)) > 0
     assert _log_evidence(np.full(10, np.log(1e6)), np.arange(10)) > 100
@@ -160,7 +223,7 @@ def test_squares_of_one_place_count_once() -> None:
 
 
 def test_blank_image_has_no_evidence() -> None:
-    assert rank_prints(np.full((120, 160), 140, np.uint8), all_prints(mirrored=True)) == []
+    assert rank_prints(np.full((120, 160), 140, np.uint8), ALL_PRINTS) == []
 
 
 def test_nothing_is_suggested_for_an_image_of_nothing() -> None:

@@ -5,6 +5,7 @@ import math
 import cv2
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from skyherd.markers.dictionary import marker_cells
 from skyherd.messages import Quality
@@ -18,7 +19,9 @@ from skyherd.vision.photometric.readings import (
     MIN_CONTRAST,
     PARTS,
     Readings,
+    cell_edges,
     draw_codes,
+    exposed,
     nearest_codes,
     on_marker,
 )
@@ -54,6 +57,15 @@ def flipped(cells: np.ndarray, *bits: tuple[int, int]) -> np.ndarray:
     for row, column in bits:
         cells[row, column] ^= True
     return cells
+
+
+def test_overexposed_edge_has_half_of_the_contrast_where_the_square_seems_to_end() -> None:
+    blur_cells = 0.4
+    edges = cell_edges(6, 6, blur_cells, clips=True)
+    white = ndtr((edges[0] - 0.0) / blur_cells)  # at 0, of white left of the first edge
+    assert exposed(np.array([white]), True)[0] == pytest.approx(0.5)
+    assert edges[-1] - 6 == pytest.approx(-edges[0])
+    np.testing.assert_array_equal(cell_edges(6, 6, blur_cells, clips=False), np.arange(7))
 
 
 def test_threshold_is_below_the_most_that_16_bits_can_show() -> None:

@@ -1,5 +1,6 @@
 """Poses of single markers against exact poses: projections with known noise, and rendered images."""
 
+import csv
 import json
 
 import cv2
@@ -8,6 +9,7 @@ import pytest
 from pose_scenes import CALIBRATIONS, drawn_corners, nees, random_pose
 
 from skyherd.cli import main
+from skyherd.inspection.metres import POSE_COLUMNS
 from skyherd.poses import Calibration, marker_poses
 from skyherd.poses.marker_poses import MARKER_CORNERS, lens_bend, pose_difference
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
@@ -152,6 +154,26 @@ def test_detect_with_a_calibration_adds_poses(picture, tmp_path, options) -> Non
         assert np.array(row["pose_covariance"]).shape == (6, 6)
         assert row["pose"] == ("plane" if options else "alone")
         assert (row["log_ratio"] is None) is bool(options) and ("other_pose" in row) is not bool(options)
+
+
+def test_csv_has_the_poses_of_the_other_format_under_their_names(picture, tmp_path) -> None:
+    folder, _ = picture
+    tables = {}
+    for kind in ("csv", "jsonl"):
+        camera = ["--marker-side-m", SIDE_M, "--camera", folder / "camera.yaml"]
+        arguments = ["detect", folder / "a.png", *camera, "--format", kind, "--out", tmp_path / kind]
+        with pytest.raises(SystemExit) as left:
+            main([*map(str, arguments)])
+        assert left.value.code == 0
+        tables[kind] = (tmp_path / kind / f"detections.{kind}").read_text()
+    rows = list(csv.DictReader(tables["csv"].splitlines()))
+    others = [json.loads(line) for line in tables["jsonl"].splitlines()]
+    assert len(rows) == len(others) == 6
+    for row, other in zip(rows, others, strict=True):
+        assert {name: float(row[name]) for name in POSE_COLUMNS if name != "pose"} == {
+            name: pytest.approx(other[name], abs=1e-4) for name in POSE_COLUMNS if name != "pose"
+        }
+        assert row["pose"] == "alone"
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ Its mean over random bits is 1 at most, as w is the least over all codes and C s
 place are not independent; their mean of L has the same bound. Of N places that have the border of a print, an
 unknown share q shows markers. The evidence for a dictionary in a print is `log mean_q Π (1 - q + q L)`. By
 chance the mean of this product is again 1 at most, so that evidence of E or more occurs in at most `exp(-E)`
-of images of random bits (Markov's inequality). What people draw is not random: the detector has to confirm
-what is found.
+of images of random bits (Markov's inequality). Drawn squares are not random: the detector has to confirm
+the markers.
 """
 
 import math

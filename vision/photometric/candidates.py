@@ -101,8 +101,8 @@ def outside_markers(quads_px: Array, known: LocalHomographies) -> BoolArray:
 def overlaps(centers: ComplexArray, sides_px: Array) -> BoolArray:
     """Return which of N squares overlap (N, N), each with itself too.
 
-    Two overlap if their centres are less than half the shorter one's side apart, such as those of both
-    boundaries of a marker's border, or of one region before and after erosion.
+    Two overlap if their centres are less than half the shorter one's side apart. Both boundaries of a
+    marker's border do, and one region before and after erosion.
     """
     reach_px = np.minimum(sides_px[:, None], sides_px) / 2
     return np.asarray(np.abs(centers[:, None] - centers) < reach_px)

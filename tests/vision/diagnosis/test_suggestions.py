@@ -152,7 +152,7 @@ def test_smaller_dictionary_of_the_same_markers_is_not_advised() -> None:
     assert suggest(drawn(), "4X4_100") is None
 
 
-def test_print_with_less_evidence_than_the_given_one_is_not_tried(monkeypatch) -> None:
+def test_print_with_less_evidence_than_given_is_not_tried(monkeypatch) -> None:
     tried = []
     monkeypatch.setattr(suggestions, "_count", lambda image, there: tried.append(there) or len(tried))
     image = drawn()

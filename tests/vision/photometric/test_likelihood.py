@@ -59,7 +59,7 @@ def flipped(cells: np.ndarray, *bits: tuple[int, int]) -> np.ndarray:
     return cells
 
 
-def test_overexposed_edge_has_half_of_the_contrast_where_the_square_seems_to_end() -> None:
+def test_overexposed_edge_seems_to_end_at_half_the_contrast() -> None:
     blur_cells = 0.4
     edges = cell_edges(6, 6, blur_cells, clips=True)
     white = ndtr((edges[0] - 0.0) / blur_cells)  # at 0, of white left of the first edge

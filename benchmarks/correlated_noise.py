@@ -12,7 +12,6 @@ from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.fitting.correlated_noise import KEPT_SHARE
-from skyherd.vision.photometric.fitting.fit import PixelSamples
 
 SIDES_PX, CAMERAS, FRAMES, SEED = (12.0, 16.0, 24.0, 36.0, 60.0), 4, 6, 1
 
@@ -20,21 +19,12 @@ SIDES_PX, CAMERAS, FRAMES, SEED = (12.0, 16.0, 24.0, 36.0, 60.0), 4, 6, 1
 def measure(side_px: float) -> tuple[float, float, float]:
     """Return the mean number of boxes of markers, the mean of their ratios, and the ratios' deviation."""
     ratios, boxes = [], []
-    one_of_each = PixelSamples.variance_ratios
-
-    def noted(*arguments):  # type: ignore[no-untyped-def]
-        found = one_of_each(*arguments)
-        kept = found[1] > 0
-        ratios.append(found[0][kept])
-        boxes.append(found[1][kept])
-        return found
-
-    PixelSamples.variance_ratios = noted  # type: ignore[method-assign]
-    try:
-        for frame in rendered_frames(Cell(side_px=side_px, cameras=CAMERAS, frames=FRAMES), "4X4_50", SEED):
-            PhotometricDetector("4X4_50", following=False).detect(frame.image)
-    finally:
-        PixelSamples.variance_ratios = one_of_each  # type: ignore[method-assign]
+    detector = PhotometricDetector("4X4_50", following=False)
+    for frame in rendered_frames(Cell(side_px=side_px, cameras=CAMERAS, frames=FRAMES), "4X4_50", SEED):
+        for searched in detector.searches(frame.image):
+            kept = searched.found.boxes > 0
+            ratios.append(searched.found.variance_ratios[kept])
+            boxes.append(searched.found.boxes[kept])
     number, found = np.concatenate(boxes), np.concatenate(ratios)
     deviation = float(np.std((found - found.mean(axis=0)) * np.sqrt(number)[:, None]))
     return float(number.mean()), float(KEPT_SHARE * found.mean()), deviation

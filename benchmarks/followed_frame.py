@@ -5,10 +5,10 @@
 
 All detectors get the same frames one after the other on one thread. Times are medians of wall time over the
 frames. *Followed* is `tracking` in frames in which it searches nothing, *searched* is
-`photometric`. *Pixels* is the time of compiled loops and matrix products over the pixels of markers in a
-followed frame. *Looks* is the time of the search for squares in a searched frame, mostly in OpenCV's
-functions. Both bound the speed of the same measurements: OpenCV's time over them is the largest ratio that
-work on the rest can reach.
+`photometric`. *Compiled* is the time of compiled functions in a followed frame: the fit, the evidence of
+streaks and the noise of the image. *Looks* is the time of the search for squares in a searched frame. Both
+bound the speed of the same measurements: OpenCV's time over them is the largest ratio that work on the rest
+can reach.
 """
 
 import argparse
@@ -23,11 +23,11 @@ from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.native.library import Library
 from skyherd.vision.photometric import detector as stages
 
-PIXELS = ("list_pixels", "fill_round", "fill_elliptic", "cell_sums", "squared_box_sums", "gram_matrices")
-"""Functions of the compiled library over pixels."""
+COMPILED = ("fit_markers", "streak_evidence", "second_differences")
+"""Functions of the compiled library that a followed frame calls."""
 
 STAGES: Stages = {
-    "pixels": [(Library, name) for name in PIXELS],
+    "compiled": [(Library, name) for name in COMPILED],
     "looks": [(stages, name) for name in ("find_quads", "find_small_quads", "find_faint_quads")],
     "search": [(PhotometricDetector, "_search")],
 }
@@ -40,7 +40,7 @@ def measure(size_px: tuple[int, int], markers: int, noise: float, frames: int) -
     scene.renderer.sensor = Sensor(noise, np.random.default_rng(2))
     names = {"opencv": "opencv", "followed": "tracking", "searched": "photometric"}
     detectors = {what: create_detector(name, dictionary=DICTIONARY) for what, name in names.items()}
-    rows: dict[str, list[float]] = {what: [] for what in (*names, "pixels", "looks")}
+    rows: dict[str, list[float]] = {what: [] for what in (*names, "compiled", "looks")}
     for frame in range(WARM_UP + frames):
         image = scene.draw(frame)
         for what, detector in detectors.items():
@@ -49,7 +49,7 @@ def measure(size_px: tuple[int, int], markers: int, noise: float, frames: int) -
             if frame < WARM_UP or (what == "followed" and watch.spent_s["search"]):
                 continue
             rows[what].append(took_ms)
-            part = {"followed": "pixels", "searched": "looks"}.get(what)
+            part = {"followed": "compiled", "searched": "looks"}.get(what)
             if part:
                 rows[part].append(1e3 * watch.spent_s[part])
     return {what: float(np.median(times)) for what, times in rows.items()}
@@ -63,7 +63,7 @@ def main() -> None:
     parser.add_argument("--noise", type=float, nargs="+", default=(0.0, NOISE), help="grey levels")
     parser.add_argument("--frames", type=int, default=60, help="frames that count")
     options = parser.parse_args()
-    columns = ("followed", "pixels", "searched", "looks")
+    columns = ("followed", "compiled", "searched", "looks")
     print(f"| noise | OpenCV, ms | {' | '.join(f'{c}, ms | OpenCV over it' for c in columns)} |")
     print("| --- " * (2 + 2 * len(columns)) + "|")
     with one_thread():

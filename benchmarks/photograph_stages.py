@@ -1,10 +1,10 @@
-"""Profile the detector on photographs: finding quadrilaterals, reading pixels, and the rest of the fits.
+"""Profile the detector on photographs: finding quadrilaterals, and fitting markers.
 
     python benchmarks/photograph_stages.py FOLDER --sets benchmarks/photographs.toml
 
 Times are of one thread, relative to OpenCV's default detector on the same image, and medians over a set's
 images. Each image is the first that its detector sees. The search alone bounds the speed of a detector with
-these two searches. The reading of pixels, in which markers are drawn and compared, bounds that of the fits.
+these two searches. Both searches and the fits run in compiled code.
 """
 
 import argparse
@@ -19,8 +19,8 @@ import numpy as np
 from skyherd.bench.image_sets import ImageSet, load_image_sets
 from skyherd.jobs.helpers import one_thread
 from skyherd.vision import create_detector
+from skyherd.vision.native.library import Library
 from skyherd.vision.photometric import detector as stages
-from skyherd.vision.photometric.fitting import fit
 
 Stages = Mapping[str, Sequence[tuple[Any, str]]]
 """Functions whose time counts as that of a stage, by the stage's name: where each is found, and its name
@@ -29,7 +29,7 @@ there."""
 STAGES: Stages = {
     "first search": [(stages, "find_quads")],
     "second search": [(stages, "find_small_quads"), (stages, "find_faint_quads")],
-    "pixels": [(fit.PixelSamples, "read")],
+    "fits": [(Library, "fit_markers")],
 }
 """Stages that are timed separately."""
 

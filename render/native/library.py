@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, Image
+from skyherd.native.arguments import address, check
 from skyherd.native.loading import declare, library_of
 from skyherd.render.edge import BOXY, DIRECTIONS, FELT, REACH, SAMPLES, SLANTED, SQUARE, EdgeSpread, Float
 
@@ -127,9 +128,9 @@ class Library:
         """
         cells = (np.shape(levels) or (0,))[-1] - 2
         count = _count(shapes)
-        levels_at = _address("levels", levels, np.float32, (count, cells + 2, cells + 2))
+        levels_at = address("levels", levels, np.float32, (count, cells + 2, cells + 2))
         arguments = _arguments(canvas, frame, shapes, spread)
-        _check(self.functions.draw_lattices(*map(ctypes.byref, arguments), levels_at, cells))
+        check(self.functions.draw_lattices(*map(ctypes.byref, arguments), levels_at, cells), ERRORS)
 
     def draw_discs(
         self, canvas: Canvas, frame: Frame, shapes: FlatShapes, levels: Float, spread: EdgeSpread
@@ -141,9 +142,9 @@ class Library:
         Raises:
             InputError: an argument has another type, shape or memory layout, or an invalid value.
         """
-        levels_at = _address("levels", levels, np.float32, (_count(shapes),))
+        levels_at = address("levels", levels, np.float32, (_count(shapes),))
         arguments = _arguments(canvas, frame, shapes, spread)
-        _check(self.functions.draw_discs(*map(ctypes.byref, arguments), levels_at))
+        check(self.functions.draw_discs(*map(ctypes.byref, arguments), levels_at), ERRORS)
 
     def draw_ground(self, size_px: tuple[int, int], frame: Frame, matrices: Array, texture: Image) -> Image:
         """Return the image (height, width) of a periodic texture on the ground, in grey levels.
@@ -160,11 +161,11 @@ class Library:
         """
         image = np.empty(size_px[::-1], dtype=np.uint8)
         samples, stride = np.shape(texture)[:2] if np.ndim(texture) == 3 else (0, 0)
-        texture_at = _address("texture", texture, np.uint8, (samples, stride, 2))
+        texture_at = address("texture", texture, np.uint8, (samples, stride, 2))
         instants = (np.shape(matrices) or (0,))[0]
-        matrices_at = _address("matrices", matrices, np.float64, (instants, 3, 3))
+        matrices_at = address("matrices", matrices, np.float64, (instants, 3, 3))
         canvas = ctypes.byref(_canvas(image, frame))
-        _check(self.functions.draw_ground(canvas, matrices_at, instants, texture_at, samples, stride))
+        check(self.functions.draw_ground(canvas, matrices_at, instants, texture_at, samples, stride), ERRORS)
         return image
 
 
@@ -205,8 +206,8 @@ def _arguments(
             count,
             corners,
             instants,
-            _address("outlines", outlines_px, np.float64, (count, corners, 2)),
-            _address("matrices", shapes.matrices, np.float64, (instants, count, 3, 3)),
+            address("outlines", outlines_px, np.float64, (count, corners, 2)),
+            address("matrices", shapes.matrices, np.float64, (instants, count, 3, 3)),
             shapes.margin_px,
         ),
         _EdgeSpread(
@@ -217,7 +218,7 @@ def _arguments(
             SQUARE,
             BOXY,
             SLANTED,
-            _address("table", spread.table, np.float32, (DIRECTIONS * SAMPLES,)),
+            address("table", spread.table, np.float32, (DIRECTIONS * SAMPLES,)),
             DIRECTIONS,
             SAMPLES,
         ),
@@ -239,8 +240,8 @@ def _canvas(canvas: Canvas | Image, frame: Frame) -> _Canvas:
         height,
         None if is_light else canvas.ctypes.data,
         canvas.ctypes.data if is_light else None,
-        None if lens is None else _address("lens", lens, np.float32, (LENS_FIELDS, canvas.size)),
-        _address("row_times", frame.row_times, np.float64, (height,)),
+        None if lens is None else address("lens", lens, np.float32, (LENS_FIELDS, canvas.size)),
+        address("row_times", frame.row_times, np.float64, (height,)),
     )
 
 
@@ -254,27 +255,3 @@ def _count(shapes: FlatShapes) -> int:
     if np.ndim(outlines_px) != 3:
         raise InputError("outlines", f"{np.shape(outlines_px)}", "(shapes, corners, 2), float64")
     return len(outlines_px)
-
-
-def _address(where: str, array: object, dtype: type[np.generic], shape: tuple[int, ...]) -> int:
-    """Return the address of the memory of a contiguous array of one type and shape.
-
-    Raises:
-        InputError: the array is another one.
-    """
-    allowed = f"contiguous, {shape}, {np.dtype(dtype)}"
-    if not isinstance(array, np.ndarray):
-        raise InputError(where, f"a {type(array).__name__}", allowed)
-    if array.dtype != dtype or array.shape != shape or not array.flags.c_contiguous:
-        raise InputError(where, f"shape {array.shape}, {array.dtype}", allowed)
-    return int(array.ctypes.data)
-
-
-def _check(result: int) -> None:
-    """Check a result of the library.
-
-    Raises:
-        InputError: the library rejected an argument.
-    """
-    if result < 0:
-        raise InputError(*ERRORS[result])

@@ -1,5 +1,6 @@
 """The fit of a plane in NumPy, the reference for the compiled one."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,8 @@ from skyherd.vision.photometric.fitting.plane import (
     CONVERGED,
     EXCESS,
     MAX_ROUNDS,
+    MIN_MARKERS_ON_PLANE,
+    MIN_SHARE_ON_PLANE,
     PERSPECTIVE_RIDGE,
     SIGNIFICANT,
     Plane,
@@ -17,7 +20,7 @@ from skyherd.vision.photometric.fitting.plane import (
 
 
 def fit_plane_to_all(points: ComplexArray, anisotropies: ComplexArray, variances: Array) -> Plane:
-    """Return what the function of this name in `skyherd.vision.photometric.fitting.plane` does."""
+    """Return what `fit_plane` in `skyherd.vision.photometric.fitting.plane` does if it asks for all."""
     if not np.isfinite(variances).any():
         return Plane()
     best, least = Plane(), _chi_squared(Plane(), points, anisotropies, variances)
@@ -33,6 +36,18 @@ def fit_plane_to_all(points: ComplexArray, anisotropies: ComplexArray, variances
         if least - chi_squared > SIGNIFICANT * excess:
             best, least, per_freedom = plane, chi_squared, excess
     return replace(best, shared=per_freedom <= EXCESS)
+
+
+def fit_plane(points: ComplexArray, anisotropies: ComplexArray, variances: Array) -> Plane:
+    """Return what the function of this name in `skyherd.vision.photometric.fitting.plane` does."""
+    kept = np.flatnonzero(np.isfinite(variances))
+    least = max(math.ceil(MIN_SHARE_ON_PLANE * kept.size), MIN_MARKERS_ON_PLANE)
+    first = plane = fit_plane_to_all(points, anisotropies, variances)
+    while not plane.shared and kept.size > least:
+        off = np.abs(anisotropies - plane.anisotropies(points))[kept] ** 2 / variances[kept]
+        kept = kept[np.argsort(off)[: max(least, kept.size - math.ceil(kept.size / 10))]]
+        plane = fit_plane_to_all(points[kept], anisotropies[kept], variances[kept])
+    return plane if plane.shared else first
 
 
 def _chi_squared(plane: Plane, points: ComplexArray, anisotropies: ComplexArray, variances: Array) -> float:

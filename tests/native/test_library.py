@@ -81,7 +81,7 @@ def fuzz_vision(path, seed=0, images=150):
 
 def fuzz_fit(library, rng, images=150):
     """Read and draw markers of any size, shape and blur in random images; return the number of pixels."""
-    from skyherd.vision.native.library import MARKER, UNKNOWNS
+    from skyherd.vision.native.records import MARKER, UNKNOWNS
 
     pixels = 0
     for _ in range(images):
@@ -105,8 +105,31 @@ def fuzz_fit(library, rng, images=150):
         library.cell_sums(rows, solutions, n)
         picked = np.arange(count)[rng.random(count) < 0.5]
         library.squared_box_sums(rows, solutions, np.repeat(solutions[:, None], 3, axis=1), picked, 2)
-        pixels += len(rows.columns)
+        pixels += len(rows.columns) + fuzz_marker_fit(library, rng, image, cells, count)
     return pixels
+
+
+def fuzz_marker_fit(library, rng, image, cells, count):
+    """Fit markers from random places in an image; return the number of pixels of those that are finite."""
+    from skyherd.vision.native.records import APPEARANCE, HOMOGRAPHY, PLANE, FitRequest
+    from skyherd.vision.photometric.fitting.fit import fit_constants
+
+    if not count:
+        return 0
+    start, looks, plane = np.zeros(count, HOMOGRAPHY), np.zeros(count, APPEARANCE), np.zeros(1, PLANE)
+    for records, scale in ((start, 20.0), (looks, 1.0)):
+        for name in records.dtype.names:
+            wild = rng.choice([0.0, 1e-300, 1e300, np.inf, np.nan, -1.0]) if rng.random() < 0.1 else None
+            records[name] = scale * rng.normal(size=count) if wild is None else wild
+    start["perspectives"] /= 1e4
+    plane["shared"] = rng.integers(0, 2)
+    plane["perspective"] = 1e-3 * rng.normal()
+    streak = None if rng.random() < 0.5 else complex(rng.normal())
+    given = image, start, looks, cells, fit_constants(), 6.0, 3.0, 6, bool(rng.integers(0, 2)), streak
+    fits, _ = library.fit_markers(FitRequest(*given), plane)
+    if streak is not None:
+        library.streak_evidence(FitRequest(*given))
+    return int(np.nan_to_num(fits["pixels"]).sum())
 
 
 def fuzz_render(path, seed=0, images=100):

@@ -1,12 +1,14 @@
-/* The linear model of markers at an image's own pixels: its columns, their products, and residuals.
+/* The fit of markers to an image's own pixels.
  *
- * A step of a fit calls these functions, one after the other, on all markers of an image:
+ * marker_fit.c has the fit from start to end: Gauss-Newton steps in all unknowns of all markers of an image. A step calls
+ * the functions of these files, one after the other:
  *   1. pixels.c          which pixels a marker has, and where on the marker they lie
  *   2. round_blur.c, elliptic_blur.c   the model's columns at these pixels, under either kind of blur
  *   3. sums.c            products of the columns; residuals, and their sums over cells and over boxes
- *   4. held_unknowns.c   least squares with some unknowns held
- *   5. plane_fit.c       the plane that the markers lie on
- * image_noise.c reads the noise of an image from the image alone.
+ *   4. least_squares.c   the solution, with unknowns free, held or expected
+ *   5. common_unknowns.c what all markers share: even light, the tone curve, the plane (plane_fit.c)
+ * marker_pixels.c does steps 1 to 4 for one marker, and streak.c asks settled markers for a streak of motion. homography.h
+ * has the geometry of a marker. image_noise.c reads the noise of an image from the image alone.
  *
  * The formulas are those of vision/photometric/fitting/design_matrix.py. Pixels are in the order of the markers, line by
  * line: marker k has the rows from bounds[k] to bounds[k + 1]. All sums run in one order, so that all builds give equal
@@ -18,6 +20,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "complex_numbers.h"
+
 /* Columns of the model, and the pixels' own values; design_matrix.py has the same names. */
 enum {
     BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND, ANISOTROPY_X, ANISOTROPY_Y, LIGHT_X, LIGHT_Y,
@@ -28,8 +32,6 @@ enum { MAX_CELLS = 20 };
 
 /* Negative results of the functions. */
 enum { FIT_INVALID_SIZE = -4, FIT_NO_MEMORY = -5 };
-
-typedef struct { double re, im; } Complex;
 
 /* Geometry and appearance of a marker; vision/native/library.py has the same fields. */
 typedef struct {
@@ -65,6 +67,73 @@ typedef struct {
     float texture_square;           /* variance of the ground's texture over that of the noise */
 } Scene;
 
+/* Image of a marker's plane; vision/photometric/fitting/local_homography.py has the symbols. */
+typedef struct { Complex center, similarity, anisotropy, perspective; } Homography;
+
+/* Appearance of a marker at its size and blur (fitting/appearance.py). */
+typedef struct {
+    double sigma;                   /* standard deviation of the blur */
+    double limit;                   /* largest |x| and |y| of its pixels */
+    double half_card;               /* distance of the card's edge from the centre; infinite if no ground is seen */
+    double black_ratio;             /* black level over contrast */
+} Appearance;
+
+/* Plane of the markers (fitting/plane.py): α, λ and their covariance; shared is 0 where no plane explains the markers. */
+typedef struct { Complex anisotropy, perspective, covariance[4]; int64_t shared; } Plane;
+
+/* Limits of a plane (fitting/plane.py). */
+typedef struct {
+    double significant, excess;     /* fall of the chi-squared for two more unknowns, and chi-squared a degree of freedom */
+    double converged, ridge;        /* last change, and share of the normal matrix's trace */
+    double min_share;               /* of the markers that a plane must explain */
+    int32_t min_markers, max_rounds;
+} PlaneLimits;
+
+/* Constants of the fit; the Python modules that have them say why. */
+typedef struct {
+    double ground_ridge, ridge, single_precision, min_squares, min_contrast;            /* least_squares.py */
+    double max_growth, min_sigma, max_sigma;                                            /* design_matrix.py */
+    double steep_anisotropy, min_variance_px2;                                          /* blur_ellipses.py */
+    double min_print_share, free_sigmas, max_tone, keystone_std, near_plane;            /* common_unknowns.py */
+    double max_step, min_step, settled_px, settled_perspective_px, off_cell;            /* fit.py */
+    double max_log_blur, kept_share;                                                    /* fit_result.py, correlated_noise.py */
+    PlaneLimits plane;                                                                  /* plane.py */
+    int32_t min_markers_for_tone, min_pixels_for_plane, box_px, max_box_markers;
+} FitConstants;
+
+/* Markers to be fitted, and where the fit begins. */
+typedef struct {
+    const uint8_t *image;           /* (height, width) */
+    const Homography *start;        /* (count,) */
+    const Appearance *appearances;  /* (count,) */
+    const float *cells;             /* (count, n + 2, n + 2), as in `Scene` */
+    const FitConstants *constants;
+    int64_t height, width, count;
+    Complex streak_px2;             /* Q of the blur, px² (fitting/blur_ellipses.py) */
+    double texture, noise;          /* ground's texture over the noise; noise in grey levels */
+    int32_t n;                      /* cells along a side */
+    int32_t max_steps, alone, has_streak;
+} FitRequest;
+
+/* Result of the fit of a marker (fitting/fit_result.py). */
+typedef struct {
+    Homography homography;
+    double covariance[9];           /* of u, v and heading, px and rad */
+    double black, contrast, noise_std, peak;            /* grey levels */
+    double log_blur, sigma_px, pixels, moved_px;
+    double ratios[2], boxes;        /* fitting/correlated_noise.py */
+} Fit;
+
+/* Least-squares solutions of markers (fitting/least_squares.py). */
+typedef struct {
+    double *values;                 /* (count, 15) */
+    double *inverse_normals;        /* (count, 15, 15) */
+    double *squares;                /* (count,) sums of squared residuals, grey levels squared */
+    double *pixels;                 /* (count,) */
+    int64_t count;
+    int32_t free;                   /* number of unknowns that are not held */
+} Solutions;
+
 int64_t count_pixels(const Marker *markers, int64_t count, int64_t height, int64_t width);
 int64_t list_pixels(const Marker *markers, int64_t count, int64_t height, int64_t width, int64_t *bounds, float *places,
                     int32_t *pixels, int64_t room);
@@ -83,9 +152,21 @@ int32_t add_over_boxes(const MarkerRows *given, const int64_t *picked, int64_t p
 int32_t count_second_differences(const uint8_t *image, int64_t height, int64_t width, int32_t darkest,
                                  int32_t brightest, int64_t *counts);
 
+int32_t allocate_solutions(Solutions *solutions, int64_t count);
+void release_solutions(Solutions *solutions);
+void copy_solutions(const Solutions *from, Solutions *to);
+void solve(const float *gram, const FitConstants *constants, Solutions *solutions, int64_t k);
+void hold_at(Solutions *solutions, int32_t first, int32_t last, const double *at);
+double noise_variance(const Solutions *solutions, int64_t k);
+double contrast_of(const Solutions *solutions, int64_t k, const FitConstants *constants);
 int32_t hold_unknowns(double *values, double *inverse_normals, double *squares, int64_t count, int32_t first,
                       int32_t last, const double *at, const double *variances);
-int32_t fit_plane(const Complex *points, const Complex *anisotropies, const double *variances, int64_t count,
-                  const double limits[4], int32_t max_rounds, Complex plane[2], Complex covariance[4]);
+int32_t hold_common_unknowns(const FitRequest *given, const Homography *start, const uint8_t *right, int settling,
+                             const Solutions *free, Plane *plane, Solutions *held);
+int32_t fit_plane(const PlaneLimits *limits, const Complex *points, const Complex *anisotropies, const double *variances,
+                  int64_t count, int32_t most, Plane *plane);
+int is_request_valid(const FitRequest *given);
+int32_t streak_evidence(const FitRequest *given, double *informations, double *scores);
+int32_t fit_markers(const FitRequest *given, Plane *plane, Fit *fits, double *cell_means);
 
 #endif

@@ -9,8 +9,6 @@
  */
 #include "fit.h"
 
-#include <math.h>
-
 /* Smallest slope along a line, sides per px, that is divided by. Chosen far below 1 / image width, so that the bounds of
  * an axis at right angles to the line lie outside any image. */
 static const double MIN_AXIS_PER_PX = 1e-12;
@@ -27,8 +25,6 @@ static Range whole_numbers(double low, double high, int64_t size) {
     const double first = fmax(ceil(low), 0.0), last = fmin(floor(high), (double)size - 1.0);
     return first <= last ? (Range){(int64_t)first, (int64_t)last} : NONE;
 }
-
-static double magnitude(Complex a) { return sqrt(a.re * a.re + a.im * a.im); }
 
 /* Return the lines that may have pixels of a marker. A marker with numbers that are not finite has none. */
 static Range lines_of(const Marker *marker, int64_t height) {

@@ -4,31 +4,14 @@
  *
  *     ε(p) = (α (1 - p λ̄ / 2) - p λ / 2) / (1 - p̄ λ / 2 - p̄ λ̄ α / 2) ≈ α - p λ / 2.
  */
-#include "fit.h"
+#include "homography.h"
+#include "ranking.h"
 
-#include <math.h>
-
-static Complex complex_of(double re) { return (Complex){re, 0}; }
-static Complex plus(Complex a, Complex b) { return (Complex){a.re + b.re, a.im + b.im}; }
-static Complex minus(Complex a, Complex b) { return (Complex){a.re - b.re, a.im - b.im}; }
-static Complex conjugate(Complex a) { return (Complex){a.re, -a.im}; }
-static Complex scaled(Complex a, double by) { return (Complex){a.re * by, a.im * by}; }
-static double squared(Complex a) { return a.re * a.re + a.im * a.im; }
-static double magnitude(Complex a) { return sqrt(squared(a)); }
-
-static Complex times(Complex a, Complex b) {
-    return (Complex){a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re};
-}
-
-static Complex over(Complex a, Complex b) { return scaled(times(a, conjugate(b)), 1 / squared(b)); }
-
-/* Observations, and limits: of the fall of the chi-squared and of its excess, of the last change, and the ridge. */
 typedef struct {
     const Complex *points, *anisotropies;
     const double *variances;
     int64_t count;
-    double significant, excess, converged, ridge;
-    int32_t max_rounds;
+    const PlaneLimits *limits;
 } Observed;
 
 /* Normal matrix of the columns 1 and -p / 2. */
@@ -36,19 +19,11 @@ typedef struct { double aa, hh; Complex ah; } Normal;
 
 typedef struct { Complex a, h; } Numbers;
 
-/* Return the anisotropy that a plane gives to a marker at p. */
-static Complex anisotropy_at(Numbers plane, Complex p) {
-    const Complex half_p = scaled(p, 0.5), conjugate_h = conjugate(plane.h), one = complex_of(1);
-    const Complex top = minus(times(plane.a, minus(one, times(half_p, conjugate_h))), times(half_p, plane.h));
-    const Complex turned = plus(plane.h, times(conjugate_h, plane.a));
-    return over(top, minus(one, times(conjugate(half_p), turned)));
-}
-
 /* Return the sum of the squared residuals from a plane, over their variances. */
 static double chi_squared(const Observed *observed, Numbers plane) {
     double total = 0;
     for (int64_t i = 0; i < observed->count; i++) {
-        const Complex expected = anisotropy_at(plane, observed->points[i]);
+        const Complex expected = anisotropy_at(plane.a, plane.h, observed->points[i]);
         total += squared(minus(observed->anisotropies[i], expected)) / observed->variances[i];
     }
     return total;
@@ -63,7 +38,7 @@ static Normal normal_of(const Observed *observed) {
         normal.ah = minus(normal.ah, scaled(p, weight / 2));
         normal.hh += weight * squared(p) / 4;
     }
-    const double raised = observed->ridge * (normal.aa + normal.hh);
+    const double raised = observed->limits->ridge * (normal.aa + normal.hh);
     normal.aa += raised;
     normal.hh += raised;
     return normal;
@@ -84,7 +59,7 @@ static Numbers right_side(const Observed *observed, Numbers plane) {
 }
 
 /* Return the plane, with λ free if `tilted`, and its covariance (2, 2). Both are zero where the iteration diverges. */
-static Numbers solve(const Observed *observed, const Normal *normal, int tilted, Complex covariance[4]) {
+static Numbers iterate(const Observed *observed, const Normal *normal, int tilted, Complex covariance[4]) {
     const double determinant = normal->aa * normal->hh - squared(normal->ah);
     covariance[0] = complex_of(tilted ? normal->hh / determinant : 1 / normal->aa);
     covariance[1] = tilted ? scaled(normal->ah, -1 / determinant) : complex_of(0);
@@ -93,7 +68,7 @@ static Numbers solve(const Observed *observed, const Normal *normal, int tilted,
     double farthest_px = 0;
     for (int64_t i = 0; i < observed->count; i++) farthest_px = fmax(farthest_px, magnitude(observed->points[i]));
     Numbers plane = {{0, 0}, {0, 0}};
-    for (int32_t round = 0; round < observed->max_rounds; round++) {
+    for (int32_t round = 0; round < observed->limits->max_rounds; round++) {
         const Numbers right = right_side(observed, plane);
         const Numbers next = {plus(times(covariance[0], right.a), times(covariance[1], right.h)),
                               plus(times(covariance[2], right.a), times(covariance[3], right.h))};
@@ -103,7 +78,7 @@ static Numbers solve(const Observed *observed, const Normal *normal, int tilted,
             for (int i = 0; i < 4; i++) covariance[i] = complex_of(0);
             return (Numbers){{0, 0}, {0, 0}};
         }
-        if (change < observed->converged) break;
+        if (change < observed->limits->converged) break;
     }
     return plane;
 }
@@ -116,31 +91,75 @@ static double possible_fall(const Observed *observed, const Normal *normal) {
     return fall / (normal->aa * normal->hh - squared(normal->ah));
 }
 
-/* Find the simplest plane of anisotropies (count,) at points (count,), px from the image's centre.
- *
- * limits: SIGNIFICANT, EXCESS, CONVERGED and PERSPECTIVE_RIDGE of plane.py. plane (2,) is α and λ, covariance (2, 2) theirs.
- * Returns whether the plane explains the anisotropies. */
-int32_t fit_plane(const Complex *points, const Complex *anisotropies, const double *variances, int64_t count,
-                  const double limits[4], int32_t max_rounds, Complex plane[2], Complex covariance[4]) {
-    const Observed observed = {points,    anisotropies, variances, count,     limits[0],
-                               limits[1], limits[2],    limits[3], max_rounds};
-    const double freedom = 2 * (double)count;
-    Numbers best = {{0, 0}, {0, 0}};
-    for (int i = 0; i < 4; i++) covariance[i] = complex_of(0);
-    double least = chi_squared(&observed, best), per_freedom = least / freedom;
-    const Normal normal = normal_of(&observed);
-    const int may_fall = !(possible_fall(&observed, &normal) <= observed.significant);
+/* Return the simplest plane that explains all anisotropies; that of no tilt where no variance is finite. */
+static Plane plane_to_all(const Observed *observed) {
+    const PlaneLimits *limits = observed->limits;
+    const double freedom = 2 * (double)observed->count;
+    Plane best = {.shared = 1};
+    int is_finite = 0;
+    for (int64_t i = 0; i < observed->count; i++) is_finite |= observed->variances[i] < INFINITY;
+    if (!is_finite) return best;
+    double least = chi_squared(observed, (Numbers){{0, 0}, {0, 0}}), per_freedom = least / freedom;
+    const Normal normal = normal_of(observed);
+    const int may_fall = !(possible_fall(observed, &normal) <= limits->significant);
     for (int unknowns = 2; may_fall && unknowns <= 4 && freedom > unknowns; unknowns += 2) {
         Complex own[4];
-        const Numbers found = solve(&observed, &normal, unknowns == 4, own);
-        const double chi = chi_squared(&observed, found), scatter = fmax(chi / (freedom - unknowns), 1.0);
-        if (!(least - chi > observed.significant * scatter)) continue;
-        best = found;
+        const Numbers found = iterate(observed, &normal, unknowns == 4, own);
+        const double chi = chi_squared(observed, found), scatter = fmax(chi / (freedom - unknowns), 1.0);
+        if (!(least - chi > limits->significant * scatter)) continue;
+        best.anisotropy = found.a;
+        best.perspective = found.h;
         least = chi;
         per_freedom = scatter;
-        for (int i = 0; i < 4; i++) covariance[i] = own[i];
+        for (int i = 0; i < 4; i++) best.covariance[i] = own[i];
     }
-    plane[0] = best.a;
-    plane[1] = best.h;
-    return per_freedom <= observed.excess;
+    best.shared = per_freedom <= limits->excess;
+    return best;
+}
+
+/* Rank the kept observations by their distance from a plane, over their deviations. */
+static void rank_kept(const Observed *observed, const Plane *plane, Ranked *kept, int64_t count) {
+    for (int64_t i = 0; i < count; i++) {
+        const int64_t row = kept[i].row;
+        const Complex expected = anisotropy_at(plane->anisotropy, plane->perspective, observed->points[row]);
+        kept[i].value = squared(minus(observed->anisotropies[row], expected)) / observed->variances[row];
+    }
+    rank(kept, count);
+}
+
+/* Find the simplest plane of anisotropies (count,) at points (count,), px from the image's centre.
+ *
+ * It explains all of them, or most of them if `most`: while no plane explains the kept ones, the tenth that lies farthest
+ * off is left out. The result is that of all where none explains enough. Returns 0 or an error. */
+int32_t fit_plane(const PlaneLimits *limits, const Complex *points, const Complex *anisotropies, const double *variances,
+                  int64_t count, int32_t most, Plane *plane) {
+    const Observed all = {points, anisotropies, variances, count, limits};
+    *plane = plane_to_all(&all);
+    if (plane->shared || !most) return 0;
+    Ranked *kept = malloc((size_t)count * sizeof *kept);
+    Complex *numbers = malloc(2 * (size_t)count * sizeof *numbers);
+    double *own = malloc((size_t)count * sizeof *own);
+    const int has_memory = kept && numbers && own;
+    int64_t left = 0;
+    for (int64_t i = 0; has_memory && i < count; i++)
+        if (variances[i] < INFINITY) kept[left++].row = i;
+    const double share = ceil(limits->min_share * (double)left);
+    const int64_t least = share > limits->min_markers ? (int64_t)share : limits->min_markers;
+    Plane found = *plane;
+    while (!found.shared && left > least) {
+        rank_kept(&all, &found, kept, left);
+        const int64_t fewer = left - (left + 9) / 10;
+        left = fewer > least ? fewer : least;
+        for (int64_t i = 0; i < left; i++) {
+            numbers[i] = points[kept[i].row];
+            numbers[count + i] = anisotropies[kept[i].row];
+            own[i] = variances[kept[i].row];
+        }
+        found = plane_to_all(&(Observed){numbers, numbers + count, own, left, limits});
+    }
+    if (found.shared) *plane = found;
+    free(kept);
+    free(numbers);
+    free(own);
+    return has_memory ? 0 : FIT_NO_MEMORY;
 }

@@ -153,6 +153,9 @@ def verify_and_refit(
     noise, distance = image_noise(image), code_distance(dictionary)
     good = verified(fits, noise, distance)
     floor = max(noise, weighted_median(fits.noise_stds, fits.pixels * good)) if good.any() else noise
+    if good.all():  # as in most images of a video: nothing to weigh
+        fits, good = _refitted(image, dictionary, fits, good, plane, start, good, (noise, floor))
+        return with_streak(image, dictionary, fits, good, plane, good)
     rest = np.flatnonzero(~good)
     edges = fit_edges(image, corners_px[rest], cells_per_side(dictionary))
     odds = _weighed(image, dictionary, edges, _corners(fits.take(rest)))

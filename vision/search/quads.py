@@ -12,7 +12,8 @@ import numpy as np
 
 from skyherd.geometry import Array, to_points
 from skyherd.vision.grey import Image, block_means
-from skyherd.vision.native.library import SearchParameters, library
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import SearchParameters
 from skyherd.vision.search.regions import (
     DARKER,
     ENLARGEMENT,

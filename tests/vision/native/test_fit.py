@@ -12,7 +12,9 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.native import build
 from skyherd.native.loading import load
-from skyherd.vision.native.library import COLUMNS, MARKER, UNKNOWNS, declared, library
+from skyherd.vision.native.library import declared, library
+from skyherd.vision.native.records import COLUMNS, MARKER, UNKNOWNS
+from skyherd.vision.photometric.fitting.plane import plane_limits
 
 N_CELLS = 6
 SIGMAS = (0.01, 0.05, 0.09, 0.12, 0.3)
@@ -70,9 +72,9 @@ def bytes_of(build_of_library):
         results += [values, normals, squares]
     points = 100 * (rng.normal(size=9) + 1j * rng.normal(size=9))
     anisotropies = 0.1 + 0.05j - points * 1e-3 + 1e-3 * rng.normal(size=9)
-    limits = np.array([14.0, 6.0, 1e-7, 1e-12])
-    *plane, covariance = build_of_library.fit_plane(points, anisotropies, np.full(9, 1e-6), limits, 40)
-    return b"".join(np.ascontiguousarray(one).tobytes() for one in [*results, np.array(plane), covariance])
+    given = points, anisotropies, np.full(9, 1e-6), plane_limits()
+    results += [build_of_library.fit_plane(*given, most=most) for most in (False, True)]
+    return b"".join(np.ascontiguousarray(one).tobytes() for one in results)
 
 
 def test_builds_give_equal_bytes():

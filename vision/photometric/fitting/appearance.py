@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
+from skyherd.vision.native.records import APPEARANCE
 from skyherd.vision.photometric.fitting.blur_ellipses import is_steep
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
@@ -71,6 +72,14 @@ class MarkerAppearances:
         if self.streak_px2 is not None:
             return np.ones(len(homographies), dtype=bool)
         return is_steep(homographies) & self.round_in_image
+
+    def records(self) -> npt.NDArray[np.void]:
+        """Return the appearances as records (N,) of `APPEARANCE`."""
+        records = np.empty(self.sigmas.size, dtype=APPEARANCE)
+        records["sigma"], records["limit"] = self.sigmas, self.read_limits
+        records["half_card"] = np.where(self.reaches_ground, self.half_card, np.inf)
+        records["black_ratio"] = self.black_ratios
+        return records
 
     def take(self, rows: IntArray) -> "MarkerAppearances":
         """Return the appearances of the markers at indices `rows` (K,)."""

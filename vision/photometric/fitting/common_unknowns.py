@@ -4,31 +4,27 @@ These are hypotheses that are tested on all markers together, which is more prec
 They are tested on the markers that look like a print and have all their cells right. Smooth
 ground that was taken for a marker can be fitted as well as one, and would put all headings off by half of
 their standard deviation.
-"""
 
-from collections.abc import Callable
+A fit of markers tests them in `vision/native/common_unknowns.c`. The functions here are for rarer fits, to
+chosen pixels (`occlusion`) or with all unknowns free.
+"""
 
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, ComplexArray
-from skyherd.vision.native.library import UNKNOWNS
+from skyherd.vision.native.records import UNKNOWNS
 from skyherd.vision.photometric.fitting.design_matrix import (
     ANISOTROPY,
-    BLACK,
     KEYSTONE,
     LIGHT,
-    MIDDLE_GREY,
     TONE,
 )
-from skyherd.vision.photometric.fitting.fit_result import print_contrasts, weighted_median
+from skyherd.vision.photometric.fitting.fit_result import weighted_median
 from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import (
-    MIN_MARKERS_ON_PLANE,
-    MIN_SHARE_ON_PLANE,
     Plane,
     fit_plane,
-    fit_plane_to_all,
 )
 
 MIN_PIXELS_FOR_PLANE = 2 * UNKNOWNS
@@ -69,53 +65,6 @@ the plane's by their noise, 0.004 to 0.014. Held there, corners are off by 0.056
 boards where free keystones give 0.084, 0.137 and 0.153 px."""
 
 
-def hold_common_unknowns(
-    solution: LeastSquaresSolution,
-    start: LocalHomographies,
-    middle: complex,
-    right: BoolArray,
-    plane: Plane,
-    *,
-    alone: bool,
-    settling: bool,
-) -> tuple[LeastSquaresSolution, Plane]:
-    """Return the solution with the unknowns held that the markers share, and the plane of the markers.
-
-    Light is held at even and the tone curve at straight where that explains the pixels, and anisotropies and
-    keystones at those of the plane. Where no plane explains the anisotropies, each marker has its own; its
-    keystone is that of a plane that it is near to, or its own, which is expected to be small.
-
-    Args:
-        solution: with every unknown free.
-        start: homographies about which it is linear.
-        middle: centre of the image, u + iv, px.
-        right: (N,) which markers have all their cells right, as far as that is known.
-        plane: of the step before.
-        alone: whether each marker has a plane of its own in any case.
-        settling: whether a step was taken before, so that a plane of most of the markers means something.
-    """
-    inliers = _print_inliers(solution, right)
-    solution = with_even_light(solution, inliers)
-    solution = with_common_tone(solution, inliers)
-    if alone:
-        return on_own_planes(solution, start), OWN_PLANES
-    return on_common_plane(solution, start, middle, inliers, plane, most=settling)
-
-
-def _print_inliers(solution: LeastSquaresSolution, right: BoolArray) -> BoolArray:
-    """Return which of N fits decide on what all markers of an image share; all of them, if none is `right`.
-
-    Left out is what is not fitted yet, is covered in part, or may be ground that was taken for a marker:
-    most ground is paler than a print.
-    """
-    if not right.any():
-        return np.ones_like(right)
-    contrasts = solution.contrasts()
-    prints = print_contrasts(solution.values[:, BLACK] + MIDDLE_GREY, contrasts)
-    weights = right * solution.pixels * (contrasts / solution.noise_stds()) ** 2
-    return right & (prints > MIN_PRINT_SHARE * weighted_median(prints, weights))
-
-
 def with_even_light(solution: LeastSquaresSolution, inliers: BoolArray) -> LeastSquaresSolution:
     """Return the solution with the change of light held at zero, unless the inliers' pixels contradict it."""
     held = solution.constrained(LIGHT, np.zeros((inliers.size, len(LIGHT))))
@@ -152,73 +101,39 @@ def _tells_more(
 
 
 def on_common_plane(
-    solution: LeastSquaresSolution,
-    start: LocalHomographies,
-    middle: complex,
-    inliers: BoolArray,
-    plane: Plane,
-    *,
-    most: bool = False,
-    level: bool = False,
+    solution: LeastSquaresSolution, start: LocalHomographies, middle: complex, plane: Plane
 ) -> tuple[LeastSquaresSolution, Plane]:
-    """Return the solution with anisotropies and keystones held at those of the plane that the inliers lie on.
+    """Return the solution with anisotropies and keystones held at those of the plane that explains all.
 
-    Where no plane explains the anisotropies they are left free. Markers near the plane then have its
-    keystone, and the keystones of others are expected about zero.
+    Where no plane explains the anisotropies they are left free, and keystones are held at zero.
 
     Args:
         solution: with anisotropies and keystones free.
         start: homographies about which it is linear.
         middle: centre of the image, u + iv, px.
-        inliers: (N,) which markers the plane is fitted to.
         plane: of the step before, which gives the markers' keystones while their anisotropies are compared.
-        most: whether a plane is enough that explains most of the inliers, not all.
-        level: whether keystones are held at zero where no plane explains the anisotropies.
 
     Returns:
         The solution, and the plane.
     """
     points = start.centers - middle
-    plane_before = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
-    with_keystones = solution.constrained(KEYSTONE, _keystones(solution, start, plane_before))
-    anisotropies = _anisotropies(with_keystones, start)
-    plane = _common_plane(
-        with_keystones, points, anisotropies, inliers, fit_plane if most else fit_plane_to_all
-    )
-    if plane.shared:
-        with_keystones = solution.constrained(
-            KEYSTONE, _keystones(solution, start, plane.perspectives(points))
-        )
-        return with_keystones.constrained(
-            ANISOTROPY, _steps_to(plane.anisotropies(points), with_keystones, start)
-        ), plane
-    if level:
-        return solution.constrained(KEYSTONE, _keystones(solution, start, NO_PERSPECTIVE)), plane
-    near = _near(plane, points, anisotropies, inliers)
-    perspectives = np.where(near, plane.perspectives(points), NO_PERSPECTIVE)
-    return on_own_planes(solution, start, perspectives, np.where(near, 0.0, KEYSTONE_STD)), plane
+    before = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
+    plane = _common_plane(with_keystones(solution, start, before), start, points)
+    perspectives = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
+    solution = with_keystones(solution, start, perspectives)
+    if not plane.shared:
+        return solution, plane
+    return solution.constrained(ANISOTROPY, steps_to(plane.anisotropies(points), solution, start)), plane
 
 
-def on_own_planes(
-    solution: LeastSquaresSolution,
-    start: LocalHomographies,
-    perspectives: ComplexArray | complex = NO_PERSPECTIVE,
-    keystone_stds: Array | float = KEYSTONE_STD,
+def with_keystones(
+    solution: LeastSquaresSolution, start: LocalHomographies, perspectives: ComplexArray | complex
 ) -> LeastSquaresSolution:
-    """Return the solution with free anisotropies, and keystones expected about those of given perspectives.
-
-    Args:
-        solution: with anisotropies and keystones free.
-        start: homographies about which it is linear.
-        perspectives: (N,) where keystones are expected, or one for all, 1/px.
-        keystone_stds: (N,) standard deviations of each of a keystone's components about that, or one for all.
-    """
-    keystones = _keystones(solution, start, perspectives)
-    noise_stds = solution.constrained(KEYSTONE, keystones).noise_stds()
-    return solution.expected(KEYSTONE, keystones, (keystone_stds * solution.contrasts() / noise_stds) ** 2)
+    """Return the solution with keystones held at those of perspectives (N,), or one for all, 1/px."""
+    return solution.constrained(KEYSTONE, keystones(solution, start, perspectives))
 
 
-def _keystones(
+def keystones(
     solution: LeastSquaresSolution, start: LocalHomographies, perspectives: ComplexArray | complex
 ) -> Array:
     """Return values (N, 2) of the unknowns `KEYSTONE` for perspectives (N,), or one for all, 1/px."""
@@ -226,13 +141,13 @@ def _keystones(
     return _components(steps) * solution.contrasts()[:, None]
 
 
-def _steps_to(anisotropies: ComplexArray, solution: LeastSquaresSolution, start: LocalHomographies) -> Array:
+def steps_to(anisotropies: ComplexArray, solution: LeastSquaresSolution, start: LocalHomographies) -> Array:
     """Return values (N, 2) of the unknowns `ANISOTROPY` for anisotropies (N,) in image axes."""
     steps = (anisotropies * start.similarities.conj() - start.anisotropies) / start.similarities
     return _components(steps) * solution.contrasts()[:, None]
 
 
-def _anisotropies(solution: LeastSquaresSolution, start: LocalHomographies) -> ComplexArray:
+def found_anisotropies(solution: LeastSquaresSolution, start: LocalHomographies) -> ComplexArray:
     """Anisotropies (N,) in image axes that a solution gives."""
     found = solution.values[:, ANISOTROPY] @ np.array([1, 1j]) / solution.contrasts()
     return np.asarray((start.anisotropies + start.similarities * found) / start.similarities.conj())
@@ -243,22 +158,10 @@ def _components(steps: ComplexArray) -> Array:
     return np.stack([steps.real, steps.imag], axis=1)
 
 
-def _near(plane: Plane, points: ComplexArray, anisotropies: ComplexArray, inliers: BoolArray) -> BoolArray:
-    """Return which markers (N,) lie within `NEAR_PLANE` of a plane; none unless most inliers do."""
-    near = np.abs(anisotropies - plane.anisotropies(points)) < NEAR_PLANE
-    enough = max(MIN_MARKERS_ON_PLANE, MIN_SHARE_ON_PLANE * np.count_nonzero(inliers))
-    return near & (np.count_nonzero(near & inliers) >= enough)
-
-
-def _common_plane(
-    solution: LeastSquaresSolution,
-    points: ComplexArray,
-    anisotropies: ComplexArray,
-    inliers: BoolArray,
-    fit: Callable[[ComplexArray, ComplexArray, Array], Plane],
-) -> Plane:
-    """Return the plane that the inliers lie on, from anisotropies (N,) in image axes at image points (N,)."""
+def _common_plane(solution: LeastSquaresSolution, start: LocalHomographies, points: ComplexArray) -> Plane:
+    """Return the plane that markers at image points (N,) lie on, from the anisotropies of a solution."""
     spread = solution.inverse_normals[:, ANISOTROPY, ANISOTROPY].mean(axis=1)
-    counted = (spread > 0) & (solution.pixels > MIN_PIXELS_FOR_PLANE) & inliers
+    counted = (spread > 0) & (solution.pixels > MIN_PIXELS_FOR_PLANE)
     spread = np.where(counted, spread, np.inf)
-    return fit(points, anisotropies, spread * (solution.noise_stds() / solution.contrasts()) ** 2)
+    variances = spread * (solution.noise_stds() / solution.contrasts()) ** 2
+    return fit_plane(points, found_anisotropies(solution, start), variances, most=False)

@@ -33,11 +33,11 @@ known to a tenth; all markers of a crowd would take as long as a step of their f
 
 KEPT_SHARE = 0.88
 """Share of the ratio that a fit leaves, since residuals are smaller than the noise by what the fit took off.
-Measured by `python benchmarks/correlated_noise.py`: 0.81 to 0.90 for markers of 12 to 60 px."""
+Measured by `python benchmarks/correlated_noise.py`: 0.65 at 12 px, 0.77 to 0.94 at 16 to 60 px."""
 
 RATIO_ERROR = 3.5
 """Standard deviation of one marker's ratio, times the square root of its number of large boxes. Measured
-likewise: 3.1 to 5.0."""
+likewise: 2.4 to 4.6."""
 
 SIGNIFICANT_SIGMAS = 3.0
 """A ratio that differs from 1 by fewer of its standard deviations is taken for 1. Chosen: of raw images,

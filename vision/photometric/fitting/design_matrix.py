@@ -38,7 +38,8 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
-from skyherd.vision.native.library import MARKER, UNKNOWNS, Floats, library
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import MARKER, UNKNOWNS, Floats
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
 from skyherd.vision.photometric.fitting.blur_ellipses import blur_tables
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies

@@ -9,30 +9,26 @@ so that one step is enough from a good prediction. The covariance is `σ_n² (J�
 deviation of the noise σ_n from the residuals themselves.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.grey import Image
-from skyherd.vision.native.library import UNKNOWNS
-from skyherd.vision.photometric.fitting import design_matrix
-from skyherd.vision.photometric.fitting.appearance import MarkerAppearances, appearances_of
-from skyherd.vision.photometric.fitting.common_unknowns import hold_common_unknowns
-from skyherd.vision.photometric.fitting.correlated_noise import BOX_PX, MAX_MARKERS, box_ratios
-from skyherd.vision.photometric.fitting.design_matrix import (
-    ANISOTROPY,
-    BLACK,
-    CONTRAST,
-    KEYSTONE,
-    MIDDLE_GREY,
-    DesignMatrices,
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import UNKNOWNS, FitConstants, FitRequest
+from skyherd.vision.photometric.fitting import (
+    blur_ellipses,
+    common_unknowns,
+    correlated_noise,
+    design_matrix,
+    least_squares,
 )
-from skyherd.vision.photometric.fitting.fit_result import FitResults, fit_results_of, pose_influences
+from skyherd.vision.photometric.fitting.appearance import MarkerAppearances, appearances_of
+from skyherd.vision.photometric.fitting.correlated_noise import BOX_PX, MAX_MARKERS, box_ratios
+from skyherd.vision.photometric.fitting.design_matrix import ANISOTROPY, CONTRAST, KEYSTONE, DesignMatrices
+from skyherd.vision.photometric.fitting.fit_result import MAX_LOG_BLUR, FitResults, pose_influences
 from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.photometric.fitting.plane import Plane
+from skyherd.vision.photometric.fitting.plane import Plane, plane_limits
 
 MAX_STEPS = 6
 """Most steps from the place at which a quadrilateral was found. Chosen: what has not settled by then is
@@ -218,57 +214,74 @@ def fit_markers(
     Returns:
         The results, in the order of `ids`, and the plane that they put the markers on.
     """
-    middle = image_middle(image)
-    sides_px = homographies.sides_px()
     blurs = homographies.blurs(sigma_px)
     appearances = appearances_of(dictionary, ids, blurs, plane, noise, streak_px2)
-    samples, n_cells = PixelSamples(ids.size), cells_per_side(dictionary)
-    if plane.shared and plane != Plane():
-        homographies = replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))
-    start = homographies
-    rows, right = np.arange(ids.size), np.ones(ids.size, dtype=bool)
-    for number in range(1, max_steps + 1):
-        start = homographies if rows.size == ids.size else start.put(rows, homographies.take(rows))
-        samples.read(image, rows, start, appearances)
-        solution = samples.solution()
-        if number > 1:  # before, a start that is a pixel off may leave as much as a wrong cell
-            means, _ = samples.cell_residuals(rows, solution, n_cells)
-            right[rows] = _cells_are_right(means, solution.contrasts()[rows])
-        solution, plane = hold_common_unknowns(
-            solution, start, middle, right, plane, alone=alone, settling=number > 1
-        )
-        appearances = replace(
-            appearances,
-            black_ratios=(solution.values[:, BLACK] + MIDDLE_GREY) / solution.contrasts(),
-            round_in_image=plane != Plane() or streak_px2 is not None,
-        )
-        homographies, moved_px = stepped(solution, start)
-        if plane.shared:
-            homographies = replace(
-                homographies, perspectives=plane.perspectives(homographies.centers - middle)
-            )
-        bent_px = np.abs(homographies.perspectives - start.perspectives) * sides_px**2 / 2
-        unsettled = (moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > SETTLED_PERSPECTIVE_PX)
-        rows = np.flatnonzero(unsettled & (right | (number < max_steps / 2)))
-        if not rows.size:
-            break
-    residuals = samples.cell_residuals(np.arange(ids.size), solution, n_cells)
-    variances = plane.variances(homographies.centers - middle) if plane.shared else np.zeros(ids.size)
-    correlation = samples.variance_ratios(right, solution, homographies)
-    results = fit_results_of(
-        ids, solution, homographies, residuals, moved_px, blurs, variances, correlation=correlation
+    request = fit_request(image, homographies, appearances, noise, max_steps, alone=alone)
+    found = plane.record()
+    fits, cell_means = library().fit_markers(request, found)
+    return FitResults.of_records(ids, fits, cell_means, blurs), Plane.of_record(found)
+
+
+def fit_request(
+    image: Image,
+    homographies: LocalHomographies,
+    appearances: MarkerAppearances,
+    noise: float,
+    max_steps: int = MAX_STEPS,
+    *,
+    alone: bool = False,
+) -> FitRequest:
+    """Return the arguments of the compiled fit of N markers; see `fit_markers`."""
+    return FitRequest(
+        image=np.ascontiguousarray(image),
+        start=homographies.records(),
+        appearances=appearances.records(),
+        cells=appearances.cells,
+        constants=fit_constants(),
+        texture=appearances.texture,
+        noise=noise,
+        max_steps=max_steps,
+        alone=alone,
+        streak_px2=appearances.streak_px2,
     )
-    return results, plane
+
+
+def fit_constants() -> FitConstants:
+    """Return the constants of the fit for the compiled library."""
+    return FitConstants(
+        ground_ridge=least_squares.GROUND_RIDGE,
+        ridge=least_squares.RIDGE,
+        single_precision=least_squares.SINGLE_PRECISION,
+        min_squares=least_squares.MIN_SQUARES,
+        min_contrast=least_squares.MIN_CONTRAST,
+        max_growth=design_matrix.MAX_GROWTH,
+        min_sigma=design_matrix.SIGMA_LIMITS[0],
+        max_sigma=design_matrix.SIGMA_LIMITS[1],
+        steep_anisotropy=blur_ellipses.STEEP_ANISOTROPY,
+        min_variance_px2=blur_ellipses.MIN_VARIANCE_PX2,
+        min_print_share=common_unknowns.MIN_PRINT_SHARE,
+        free_sigmas=common_unknowns.FREE_SIGMAS,
+        max_tone=common_unknowns.MAX_TONE,
+        keystone_std=common_unknowns.KEYSTONE_STD,
+        near_plane=common_unknowns.NEAR_PLANE,
+        max_step=MAX_STEP,
+        min_step=MIN_STEP,
+        settled_px=SETTLED_PX,
+        settled_perspective_px=SETTLED_PERSPECTIVE_PX,
+        off_cell=OFF_CELL,
+        max_log_blur=MAX_LOG_BLUR,
+        kept_share=correlated_noise.KEPT_SHARE,
+        plane=plane_limits(),
+        min_markers_for_tone=common_unknowns.MIN_MARKERS_FOR_TONE,
+        min_pixels_for_plane=common_unknowns.MIN_PIXELS_FOR_PLANE,
+        box_px=correlated_noise.BOX_PX,
+        max_box_markers=correlated_noise.MAX_MARKERS,
+    )
 
 
 def image_middle(image: Image) -> complex:
     """Return the centre of an image (height, width), u + iv, px: the origin of `Plane`'s points."""
     return complex(image.shape[1] - 1, image.shape[0] - 1) / 2
-
-
-def _cells_are_right(cell_means: Array, contrasts: Array) -> BoolArray:
-    """Return which of N fits leave every cell the colour it should have."""
-    return np.asarray(np.abs(cell_means).max(axis=(1, 2)) < OFF_CELL * contrasts)
 
 
 def has_outlier_pixels(peaks: Array, contrasts: Array, noise_stds: Array) -> BoolArray:

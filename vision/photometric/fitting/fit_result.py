@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.messages import Quality
-from skyherd.vision.native.library import UNKNOWNS
+from skyherd.vision.native.records import FIT, UNKNOWNS
 from skyherd.vision.photometric.fitting import design_matrix
 from skyherd.vision.photometric.fitting.design_matrix import ANISOTROPY, BLACK, BLUR, CONTRAST, MIDDLE_GREY
 from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
@@ -61,6 +62,28 @@ class FitResults(RowRecord):
     boxes: Array
     qualities: IntArray
     log_odds: Array
+
+    @classmethod
+    def of_records(
+        cls, ids: IntArray, fits: npt.NDArray[np.void], cell_means: Array, blurs: Array
+    ) -> "FitResults":
+        """Return the results of records (N,) of `FIT`.
+
+        Args:
+            ids: (N,) marker ids.
+            fits: (N,) records.
+            cell_means: (N, n, n) mean residual over each cell, grey levels.
+            blurs: (N,) standard deviations of the blurs that were assumed, in marker sides.
+        """
+        return cls(
+            ids=ids,
+            homographies=LocalHomographies.of_records(fits["homography"]),
+            cell_means=cell_means,
+            blurs_cells=blurs * cell_means.shape[1],
+            qualities=np.full(ids.size, Quality.PHOTOMETRIC.value),
+            log_odds=np.full(ids.size, np.nan),
+            **{name: fits[name] for name in FIT.names or () if name != "homography"},
+        )
 
     def print_contrasts(self) -> Array:
         """Return the print contrasts (N,), a share of white; see the function of this name."""

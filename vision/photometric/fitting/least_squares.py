@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.vision.native.library import UNKNOWNS, library
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import UNKNOWNS
 from skyherd.vision.photometric.fitting.design_matrix import CONTRAST, GROUND, PIXEL_ROW
 
 GROUND_RIDGE = 3e-4

@@ -15,8 +15,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from skyherd.geometry import Array, ComplexArray, fit_squares, to_complex
+from skyherd.vision.native.records import HOMOGRAPHY
 from skyherd.vision.row_record import RowRecord
 
 MIN_AREA_PX2 = 1e-9
@@ -73,6 +75,18 @@ class LocalHomographies(RowRecord):
         affine = cls(centers, similarities, anisotropies, np.zeros(len(corners), dtype=complex))
         x, y = affine.axes()
         return replace(affine, perspectives=np.asarray(x * g_x + y * g_y))
+
+    @classmethod
+    def of_records(cls, records: npt.NDArray[np.void]) -> "LocalHomographies":
+        """Return the homographies of records (N,) of `HOMOGRAPHY`."""
+        return cls(*(np.ascontiguousarray(records[name]) for name in HOMOGRAPHY.names or ()))
+
+    def records(self) -> npt.NDArray[np.void]:
+        """Return the homographies as records (N,) of `HOMOGRAPHY`."""
+        records = np.empty(len(self), dtype=HOMOGRAPHY)
+        for name in HOMOGRAPHY.names or ():
+            records[name] = getattr(self, name)
+        return records
 
     def moved(
         self, shift: ComplexArray, grow: ComplexArray, anisotropy: ComplexArray, keystone: ComplexArray

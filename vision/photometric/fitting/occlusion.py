@@ -17,7 +17,7 @@ import numpy as np
 from skyherd.geometry import UNIFORM_VARIANCE, Array
 from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.grey import Image
-from skyherd.vision.native.library import UNKNOWNS
+from skyherd.vision.native.records import UNKNOWNS
 from skyherd.vision.photometric.fitting.appearance import appearances_of
 from skyherd.vision.photometric.fitting.common_unknowns import on_common_plane, with_common_tone
 from skyherd.vision.photometric.fitting.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE
@@ -98,7 +98,7 @@ def fit_visible(
             seen = samples.cell_support(rows, n_cells)
         everyone = np.ones(rows.size, dtype=bool)
         solution = with_common_tone(samples.solution(), everyone)
-        solution, plane = on_common_plane(solution, homographies, middle, everyone, plane, level=True)
+        solution, plane = on_common_plane(solution, homographies, middle, plane)
         values = solution.values.copy()
         homographies, moved_px = stepped(solution, homographies)
         homographies = replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))

@@ -17,13 +17,14 @@ coordinates; neglecting that costs 0.002 px at a tilt of 15 degrees. Where no pl
 each marker keeps its own.
 """
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from skyherd.geometry import Array, ComplexArray
 from skyherd.vision.native.library import library
+from skyherd.vision.native.records import PLANE, PlaneLimits
 
 SIGNIFICANT = 14.0
 """Fall of the chi-squared by which two more unknowns must earn their place. Derived: chance reaches
@@ -68,6 +69,16 @@ class Plane:
     shared: bool = True
     covariance: ComplexArray = field(default_factory=lambda: np.zeros((2, 2), dtype=complex), compare=False)
 
+    @classmethod
+    def of_record(cls, record: npt.NDArray[np.void]) -> "Plane":
+        """Return the plane of a record (1,) of `PLANE`."""
+        anisotropy, perspective, covariance, shared = record[0].tolist()
+        return cls(anisotropy, perspective, bool(shared), np.array(covariance))
+
+    def record(self) -> npt.NDArray[np.void]:
+        """Return the plane as a record (1,) of `PLANE`."""
+        return np.array([(self.anisotropy, self.perspective, self.covariance, self.shared)], dtype=PLANE)
+
     def anisotropies(self, points: ComplexArray) -> ComplexArray:
         """Return the anisotropies ε (N,) of markers at image points (N,), px from the image's centre."""
         a, h = self.anisotropy, self.perspective
@@ -91,41 +102,39 @@ def anisotropy_design_matrix(points: ComplexArray) -> ComplexArray:
     return design
 
 
-def fit_plane(points: ComplexArray, anisotropies: ComplexArray, variances: Array) -> Plane:
-    """Return the simplest plane that explains the anisotropies of most markers, (N,), at image points (N,).
-
-    Some markers may lie on something else or be covered in part. While no plane explains the rest, the tenth
-    of them that lies farthest off is left out. If none explains
-    `MIN_SHARE_ON_PLANE` of the markers, the result has `shared` False. Arguments are those of
-    `fit_plane_to_all`.
-    """
-    kept = np.flatnonzero(np.isfinite(variances))
-    least = max(math.ceil(MIN_SHARE_ON_PLANE * kept.size), MIN_MARKERS_ON_PLANE)
-    first = plane = fit_plane_to_all(points, anisotropies, variances)
-    while not plane.shared and kept.size > least:
-        off = np.abs(anisotropies - plane.anisotropies(points))[kept] ** 2 / variances[kept]
-        kept = kept[np.argsort(off)[: max(least, kept.size - math.ceil(kept.size / 10))]]
-        plane = fit_plane_to_all(points[kept], anisotropies[kept], variances[kept])
-    return plane if plane.shared else first
+def plane_limits() -> PlaneLimits:
+    """Return the limits of a plane for the compiled library."""
+    return PlaneLimits(
+        significant=SIGNIFICANT,
+        excess=EXCESS,
+        converged=CONVERGED,
+        ridge=PERSPECTIVE_RIDGE,
+        min_share=MIN_SHARE_ON_PLANE,
+        min_markers=MIN_MARKERS_ON_PLANE,
+        max_rounds=MAX_ROUNDS,
+    )
 
 
-def fit_plane_to_all(points: ComplexArray, anisotropies: ComplexArray, variances: Array) -> Plane:
-    """Return the simplest plane that explains all anisotropies (N,) observed at image points (N,).
+def fit_plane(
+    points: ComplexArray, anisotropies: ComplexArray, variances: Array, *, most: bool = True
+) -> Plane:
+    """Return the simplest plane that explains anisotropies (N,) observed at image points (N,).
 
     Three hypotheses are compared: a camera that looks straight down (no unknowns), one anisotropy common to
     all (α), and a tilted plane (α and λ). The next one is accepted where the chi-squared falls by more than
     `SIGNIFICANT`. If more than `EXCESS` of it a degree of freedom is left in the end, no plane explains the
     anisotropies, and the result has `shared` False.
 
+    Some markers may lie on something else or be covered in part. If `most`, the tenth of the markers that
+    lies farthest off is left out while no plane explains the rest, of which `MIN_SHARE_ON_PLANE` must remain.
+
     Args:
         points: (N,) centres of the markers, px from the image's centre.
         anisotropies: (N,) anisotropies in image axes.
         variances: (N,) of each of the anisotropies' two components; infinite for markers without information.
             Errors that they leave out are estimated from the fit itself.
+        most: whether a plane is enough that explains most of them.
     """
-    if not np.isfinite(variances).any():
-        return Plane()
-    limits = np.array([SIGNIFICANT, EXCESS, CONVERGED, PERSPECTIVE_RIDGE])
     points, anisotropies = np.ascontiguousarray(points), np.ascontiguousarray(anisotropies)
     given = points, anisotropies, np.ascontiguousarray(variances)
-    return Plane(*library().fit_plane(*given, limits, MAX_ROUNDS))
+    return Plane.of_record(library().fit_plane(*given, plane_limits(), most=most))

@@ -11,18 +11,15 @@ each over the variance of the noise. Added up over markers, `δQ = (Σ M)⁻¹ �
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
 from skyherd.geometry import Array
 from skyherd.vision.grey import Image
-from skyherd.vision.native.library import UNKNOWNS
+from skyherd.vision.native.library import library
 from skyherd.vision.photometric.fitting.appearance import appearances_of
-from skyherd.vision.photometric.fitting.blur_ellipses import second_derivative_maps
-from skyherd.vision.photometric.fitting.design_matrix import DesignMatrices
+from skyherd.vision.photometric.fitting.fit import fit_request
 from skyherd.vision.photometric.fitting.fit_result import FitResults
-from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.fitting.plane import Plane
 
 RIDGE = 1e-6
@@ -78,19 +75,7 @@ def streak_evidence(
         noise: standard deviation of a pixel, grey levels.
         streak_px2: Q that they were fitted under, px².
     """
-    shapes, count = fits.homographies, fits.ids.size
+    shapes = fits.homographies
     appearances = appearances_of(dictionary, fits.ids, shapes.blurs(fits.sigmas_px), plane, noise, streak_px2)
     appearances = replace(appearances, black_ratios=fits.blacks / np.maximum(fits.contrasts, 1.0))
-    drawn = DesignMatrices(image, np.arange(count), shapes, appearances)
-    solution = LeastSquaresSolution.of_grams(drawn.gram_matrices().astype(float), drawn.counts)
-    maps = second_derivative_maps(shapes) * solution.contrasts()[:, None, None]
-    products, squares = np.empty((count, UNKNOWNS + 1, 2)), np.empty((count, 2, 2))
-    for number, (begin, end) in enumerate(pairwise(drawn.bounds.tolist())):
-        bends = drawn.bends[begin:end] @ maps[number].astype(np.float32)
-        products[number], squares[number] = drawn.columns[begin:end].T @ bends, bends.T @ bends
-    by_columns, by_pixels = products[:, :UNKNOWNS], products[:, UNKNOWNS]
-    across = by_columns.transpose(0, 2, 1)
-    variances = solution.noise_stds() ** 2
-    informations = squares - across @ solution.inverse_normals @ by_columns
-    scores = by_pixels - (across @ solution.values[..., None])[..., 0]
-    return StreakEvidence(informations / variances[:, None, None], scores / variances[:, None])
+    return StreakEvidence(*library().streak_evidence(fit_request(image, shapes, appearances, noise)))

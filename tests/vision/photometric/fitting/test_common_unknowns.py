@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.helpers.fit_reference import print_inliers
 
-from skyherd.vision.photometric.fitting.common_unknowns import _print_inliers
 from skyherd.vision.photometric.fitting.design_matrix import BLACK, MIDDLE_GREY
 
 
@@ -26,10 +26,10 @@ def solution_of(shares):
 def test_markers_of_low_print_contrast_are_not_evidence(share, counts):
     """0.54 of white, with three prints of 0.9: paler is ground that was taken for a marker."""
     solution = solution_of([0.9, 0.9, 0.9, share])
-    assert _print_inliers(solution, np.ones(4, dtype=bool)).tolist() == [True, True, True, counts]
+    assert print_inliers(solution, np.ones(4, dtype=bool)).tolist() == [True, True, True, counts]
 
 
 def test_what_has_wrong_cells_decides_on_nothing_unless_all_have():
     solution = solution_of([0.9, 0.9, 0.9])
-    assert _print_inliers(solution, np.array([True, False, True])).tolist() == [True, False, True]
-    assert _print_inliers(solution, np.zeros(3, dtype=bool)).all()
+    assert print_inliers(solution, np.array([True, False, True])).tolist() == [True, False, True]
+    assert print_inliers(solution, np.zeros(3, dtype=bool)).all()

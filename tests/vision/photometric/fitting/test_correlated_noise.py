@@ -9,7 +9,8 @@ import pytest
 from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.geometry import to_complex
-from skyherd.vision.native.library import MarkerRows, library
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import MarkerRows
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.fitting import common_unknowns
 from skyherd.vision.photometric.fitting.correlated_noise import (

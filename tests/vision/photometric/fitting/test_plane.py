@@ -1,5 +1,7 @@
 """The plane that markers share, against cameras with tilt, aspect and skew, by projective geometry."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.special import bdtrik, chdtrc
@@ -8,7 +10,7 @@ from tests.helpers import plane_reference
 from skyherd.geometry import SQUARE_CORNERS
 from skyherd.vision.photometric.fitting import plane as plane_module
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.photometric.fitting.plane import SIGNIFICANT, Plane, fit_plane, fit_plane_to_all
+from skyherd.vision.photometric.fitting.plane import SIGNIFICANT, Plane, fit_plane
 
 POINTS = np.random.default_rng(0).uniform(-400, 400, (2, 16)).T @ np.array([1, 1j])
 
@@ -200,9 +202,19 @@ KINDS = {
 }
 
 
+FITS = {
+    "all": (partial(fit_plane, most=False), plane_reference.fit_plane_to_all),
+    "most": (fit_plane, plane_reference.fit_plane),
+}
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_compiled_fit_is_that_of_numpy(kind) -> None:
-    """1 to 30 markers, some without information: α, λ, their covariance and whether a plane explains them."""
+@pytest.mark.parametrize("asked", FITS)
+def test_the_compiled_fit_is_that_of_numpy(kind, asked) -> None:
+    """1 to 30 markers, some without information: α, λ, their covariance and whether a plane explains them.
+
+    Where most are asked for, one of six lies elsewhere.
+    """
     rng = np.random.default_rng([7, list(KINDS).index(kind)])
     anisotropy, horizon = KINDS[kind]
     shared = []
@@ -214,13 +226,15 @@ def test_the_compiled_fit_is_that_of_numpy(kind) -> None:
         anisotropies = Plane(anisotropy * turns[0], horizon * turns[1]).anisotropies(points)
         anisotropies = anisotropies + scatter * (rng.normal(size=(count, 2)) @ np.array([1, 1j]))
         variances[rng.uniform(size=count) < 0.1] = np.inf
-        found, expected = (fit(points, anisotropies, variances) for fit in FITS)
+        if asked == "most":
+            anisotropies[::6] += 0.05
+        found, expected = (fit(points, anisotropies, variances) for fit in FITS[asked])
         assert found.shared == expected.shared
         np.testing.assert_allclose(found.anisotropy, expected.anisotropy, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(found.perspective, expected.perspective, rtol=1e-9, atol=1e-15)
         np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-9, atol=1e-24)
         shared.append(found.shared)
-    assert np.mean(shared) > 0.9 if kind not in ("none", "steep") else np.mean(shared) < 0.9
-
-
-FITS = (fit_plane_to_all, plane_reference.fit_plane_to_all)
+    if asked == "all":
+        assert np.mean(shared) > 0.9 if kind not in ("none", "steep") else np.mean(shared) < 0.9
+    elif kind not in ("none", "steep"):
+        assert np.mean(shared) > 0.5

@@ -1,0 +1,112 @@
+/* One marker's pixels and the model's columns at them, from its homography and appearance. */
+#include "marker_pixels.h"
+
+#include <stdlib.h>
+
+/* Return the record of a marker, from which its pixels are listed and drawn. */
+static Marker marker_of(const Homography *at, const Appearance *look, int round_in_image, const FitConstants *constants) {
+    const Complex m = at->similarity, k = at->anisotropy, relative = over(k, m);
+    const Complex right = plus(m, k), down = minus(m, k), one = complex_of(1);
+    const double area = area_px2(at), spread = sqrt(1 + squared(relative));
+    const double growth = magnitude(keystone_of(at, at->perspective)) * sqrt(2.0) * look->limit;
+    const double strip = look->limit / (1 - (growth < constants->max_growth ? growth : constants->max_growth));
+    Marker marker = {
+        .center = at->center,
+        .x_axis = scaled(down, 1 / area),
+        .y_axis = scaled(times_i(right), 1 / area),
+        .perspective = at->perspective,
+        .limit = look->limit,
+        .strip = strip,
+        .height_px = strip * (fabs(right.im) + fabs(down.re)),
+        .sigma = limited(look->sigma, constants->min_sigma, constants->max_sigma),
+        .black_ratio = look->black_ratio,
+        .half_card = look->half_card,
+        .x_stretch = magnitude(minus(one, relative)) / spread,
+        .y_stretch = magnitude(plus(one, relative)) / spread,
+    };
+    if (round_in_image) {
+        marker.keystone = times(at->perspective, conjugate(m));
+        marker.anisotropy = blur_anisotropy(at);
+    }
+    return marker;
+}
+
+static int is_elliptic(const FitRequest *given, const Homography *at, int round_in_image) {
+    if (given->has_streak) return 1;
+    return round_in_image &&
+           magnitude(at->anisotropy) > given->constants->steep_anisotropy * magnitude(at->similarity);
+}
+
+/* Compute the variances along x and y and the covariance, in sides squared, that a streak Q, px², adds to a blur
+ * (fitting/blur_ellipses.py). */
+void streak_moments(const Homography *at, Complex streak, double table[3]) {
+    const Complex m = conjugate(at->similarity), k = at->anisotropy;
+    const Complex along = plus(times(times(m, m), streak), times(times(k, k), conjugate(streak)));
+    const double area = area_px2(at), absolute = -2 * times(times(m, conjugate(k)), streak).re;
+    table[0] = (absolute + along.re) / (area * area);
+    table[1] = (absolute - along.re) / (area * area);
+    table[2] = along.im / (area * area);
+}
+
+/* Compute a blur's table (6,) for `fill_elliptic`: of round blur, and of the streak as far as that has room for it. */
+static void blur_table(const FitRequest *given, const Homography *at, double sigma, double table[6]) {
+    const double sigma_px = sigma / blur_per_px(at), length = magnitude(given->streak_px2);
+    const double room = fmax(sigma_px * sigma_px - given->constants->min_variance_px2, 0.0) / fmax(length, 1e-12);
+    const Complex square = scaled(blur_anisotropy(at), -2 * sigma * sigma);
+    const double round[3] = {sigma * sigma + square.re, sigma * sigma - square.re, square.im};
+    double streak[3];
+    streak_moments(at, scaled(given->streak_px2, room < 1 ? room : 1.0), streak);
+    for (int i = 0; i < 3; i++) {
+        table[i] = round[i] + streak[i];
+        table[3 + i] = 2 * round[i];
+    }
+}
+
+/* Give a marker's arrays room for so many pixels. */
+static int32_t make_room(Pixels *own, int64_t room) {
+    if (room <= own->room) return 0;
+    free(own->columns);
+    own->room = 0;
+    own->columns = malloc((size_t)room * ((COLUMNS + 2 + 3) * sizeof *own->columns + 2 * sizeof *own->pixels));
+    if (!own->columns) return FIT_NO_MEMORY;
+    own->room = room;
+    own->places = own->columns + room * COLUMNS;
+    own->bends = own->places + room * 2;
+    own->pixels = (int32_t *)(own->bends + room * 3);
+    return 0;
+}
+
+MarkerRows rows_of(const Pixels *own) {
+    return (MarkerRows){own->bounds, own->places, own->pixels, own->columns, 1, own->bounds[1]};
+}
+
+void release_pixels(Pixels *own) { free(own->columns); }
+
+/* Read the pixels of marker k about a homography, and solve for all of its unknowns. Returns 0 or an error. */
+int32_t read_marker(const FitRequest *given, const Homography *at, const Appearance *look, int round_in_image,
+                    Pixels *own, Solutions *solutions, int64_t k) {
+    const int elliptic = is_elliptic(given, at, round_in_image);
+    const int64_t sides = given->n + 2;
+    Marker marker = marker_of(at, look, round_in_image, given->constants);
+    int32_t result = make_room(own, count_pixels(&marker, 1, given->height, given->width));
+    if (result) return result;
+    list_pixels(&marker, 1, given->height, given->width, own->bounds, own->places, own->pixels, own->room);
+    const float texture = (float)given->texture;
+    const Scene scene = {given->image, &marker, given->cells + k * sides * sides, given->height, given->width, given->n,
+                         texture * texture};
+    const MarkerRows rows = rows_of(own);
+    if (elliptic) {
+        double table[6];
+        blur_table(given, at, marker.sigma, table);
+        marker.keystone = keystone_of(at, at->perspective);
+        result = fill_elliptic(&scene, &rows, table, own->bends);
+    } else {
+        result = fill_round(&scene, &rows);
+    }
+    if (result) return result;
+    float gram[COLUMNS * COLUMNS];
+    gram_matrices(&rows, gram);
+    solve(gram, given->constants, solutions, k);
+    solutions->pixels[k] = (double)rows.rows;
+    return 0;
+}

@@ -1,0 +1,24 @@
+/* One marker's pixels, which a fit reads again from step to step. */
+#ifndef SKYHERD_MARKER_PIXELS_H
+#define SKYHERD_MARKER_PIXELS_H
+
+#include "homography.h"
+
+/* Pixels of a marker as they were last read; arrays have room for more. */
+typedef struct {
+    float *places, *columns, *bends;
+    int32_t *pixels;
+    int64_t bounds[2], room;
+} Pixels;
+
+static inline double limited(double value, double low, double high) {
+    return value < low ? low : value > high ? high : value;
+}
+
+int32_t read_marker(const FitRequest *given, const Homography *at, const Appearance *look, int round_in_image,
+                    Pixels *own, Solutions *solutions, int64_t k);
+MarkerRows rows_of(const Pixels *own);
+void release_pixels(Pixels *own);
+void streak_moments(const Homography *at, Complex streak, double table[3]);
+
+#endif

@@ -124,6 +124,7 @@ class CameraPose:
 
 def rotation_camera_world(pose: CameraPose) -> Array:
     """Return R (3, 3) from world to camera axes; the camera's z axis points down when untilted."""
+    check_kind("rotation_camera_world: pose", pose, CameraPose, "a CameraPose")
     c, s = np.cos(pose.yaw_rad), np.sin(pose.yaw_rad)
     downward = np.array([[c, s, 0.0], [s, -c, 0.0], [0.0, 0.0, -1.0]])
     ca, sa = np.cos(pose.tilt_rad[0]), np.sin(pose.tilt_rad[0])

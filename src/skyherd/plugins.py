@@ -1,4 +1,4 @@
-"""Plugins of the user, given as `module:factory`; the working directory is part of the import path."""
+"""Plugins of the user, given as `module:factory`, and optional libraries, which extras install."""
 
 import logging
 import os
@@ -42,3 +42,21 @@ def import_factory(name: str, where: str, allowed: str) -> Callable[..., Any]:
         raise InputError(where, f"{factory_name!r} is not callable", allowed)
     _log.info("%s is %s of %s", where, factory_name, getattr(module, "__file__", None) or module_name)
     return cast(Callable[..., Any], factory)
+
+
+def import_extra(module: str, package: str, where: str, extra: str) -> Any:
+    """Import and return a module of an optional library.
+
+    Args:
+        module: name of the module.
+        package: name of its package in the registry.
+        where: location in the error message, such as the option that needs the module.
+        extra: the extra of skyherd that installs it.
+
+    Raises:
+        InputError: the package is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError:
+        raise InputError(where, f"{package} is not installed", f"pip install 'skyherd[{extra}]'") from None

@@ -97,6 +97,7 @@ def test_unusual_name_is_read_and_named_in_one_line(pictures, capsys):
         ["run"],
         ["topology"],
         ["report"],
+        ["export"],
         ["dataset", "check"],
         ["dataset", "make"],
         ["study"],

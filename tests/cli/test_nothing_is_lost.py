@@ -117,6 +117,29 @@ def test_report_never_replaces_a_foreign_file(here, capsys):
     assert call(capsys, "report", "sent")[0] == 0
 
 
+@pytest.mark.parametrize("kind", ["csv", "coco"])
+def test_export_never_replaces_or_removes_foreign_files(here, capsys, kind):
+    """Neither files of the user nor the run's own files are replaced."""
+    call(capsys, "run", "triangle", "--out", "out", *QUICK)
+    arguments = ["export", "out", "--format", kind, "--force", "--out"]
+    assert_untouched(here, capsys, *arguments[:-2], "--out", "out")
+    main_file = {"csv": "detections.csv", "coco": "annotations.json"}[kind]
+    (here / "mine" / "images").mkdir(parents=True)
+    (here / "mine" / "images" / "holiday.jpg").write_bytes(b"precious")
+    if kind == "coco":
+        assert_untouched(here, capsys, *arguments, "mine")
+        (here / "mine" / "images").rename(here / "mine" / "pictures")
+    (here / "mine" / main_file).write_text("precious")
+    assert_untouched(here, capsys, *arguments, "mine")
+    (here / "mine" / main_file).unlink()
+    kept = hashes(here / "mine")
+    for _ in range(2):
+        assert call(capsys, *arguments, "mine")[0] == 0
+    assert kept.items() <= hashes(here / "mine").items()
+    (here / "mine" / main_file).write_text("edited by hand")
+    assert_untouched(here, capsys, *arguments, "mine")
+
+
 def test_markers_never_replaces_a_foreign_pdf(here, capsys):
     arguments = ["markers", "--ids", "0", "--side", "3cm", "--out", "thesis.pdf"]
     (here / "thesis.pdf").write_bytes(b"%PDF years of work")

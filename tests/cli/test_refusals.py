@@ -63,6 +63,7 @@ def test_report_names_the_verb_that_takes_a_configuration(capsys, tmp_path):
         (["track"], "video"),
         (["dataset", "check"], "data set"),
         (["report"], "run"),
+        (["export"], "run"),
     ],
 )
 def test_misplaced_scenario_or_recording_is_named(verb, wanted, capsys, tmp_path):

@@ -33,6 +33,7 @@ HEAVY = (
     "rich",
     "dask",
     "pyarrow",
+    "rosbags",
 )
 """Modules that are slow to import, including rich: few verbs have progress bars and tables."""
 
@@ -40,6 +41,7 @@ VERBS = [
     [],
     ["run"],
     ["report"],
+    ["export"],
     ["topology"],
     ["detect"],
     ["markers"],
@@ -191,6 +193,7 @@ def completions(request, tmp_path, monkeypatch, capfd):
         (["markers", "--dictionary", "5X5_19"], ["5X5_1900"]),
         (["dataset", "make", "sm"], ["small"]),
         (["study", "noi"], ["noise"]),
+        (["export", "a", "--format", "p"], ["parquet"]),
     ],
     ids=lambda value: " ".join(value),
 )

@@ -27,6 +27,7 @@ VERBS = {
         ("--force", "--no-video", "--record-images"),
     ),
     ("report",): ({"": TEXTS}, ()),
+    ("export",): ({"": TEXTS, "--format": TEXTS, "--out": TEXTS}, ("--force",)),
     ("topology",): ({"": TEXTS, "--out": TEXTS}, ("--force",)),
     ("detect",): (
         {"": TEXTS, "--dictionary": TEXTS, "--detector": TEXTS, "--out": TEXTS, "--format": TEXTS,

@@ -32,6 +32,10 @@ DIGITS = 6
 table."""
 
 
+COORDINATES = "pixels from the image's upper left corner; pixel centres at halves"
+"""Definition of the coordinates, in the file's `info`."""
+
+
 def coco_text(description: str, size_px: tuple[int, int], images: Sequence[tuple[int, str, Labels]]) -> str:
     """Return the COCO file of a split, as text.
 
@@ -44,14 +48,11 @@ def coco_text(description: str, size_px: tuple[int, int], images: Sequence[tuple
     for number, _, labels in images:
         for k in range(len(labels)):
             annotations.append(
-                {"id": len(annotations) + 1, "image_id": number, **_annotation(labels, k, size_px)}
+                {"id": len(annotations) + 1, "image_id": number, **annotation(labels, k, size_px)}
             )
     width, height = size_px
     document = {
-        "info": {
-            "description": description,
-            "coordinates": "pixels from the image's upper left corner; pixel centres at halves",
-        },
+        "info": {"description": description, "coordinates": COORDINATES},
         "licenses": [],
         "images": [
             {"id": number, "file_name": name, "width": width, "height": height} for number, name, _ in images
@@ -62,7 +63,8 @@ def coco_text(description: str, size_px: tuple[int, int], images: Sequence[tuple
     return json.dumps(document)
 
 
-def _annotation(labels: Labels, k: int, size_px: tuple[int, int]) -> Json:
+def annotation(labels: Labels, k: int, size_px: tuple[int, int]) -> Json:
+    """Return the annotation of the marker in row k, without its own number and that of its image."""
     outline = visible_outline(labels.corners_px[k], size_px)
     flags = labels.visibilities[k]
     places = np.where(flags[:, None] == OUTSIDE, 0.0, labels.keypoints_px[k] + 0.5).round(DIGITS)

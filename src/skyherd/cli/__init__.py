@@ -18,6 +18,7 @@ from skyherd.cli.bench import bench_app
 from skyherd.cli.console import complain, printing_input_warnings
 from skyherd.cli.dataset import dataset_app
 from skyherd.cli.detect import detect
+from skyherd.cli.export import export
 from skyherd.cli.help import HelpCommand, HelpGroup
 from skyherd.cli.interrupts import (
     NOTHING_LEFT,
@@ -89,6 +90,7 @@ app.command(
     cls=HelpCommand, rich_help_panel=STEER, short_help="Simulate a lab's cameras and robots in real time."
 )(world)
 app.command(cls=HelpCommand, rich_help_panel=DATA)(report)
+app.command(cls=HelpCommand, rich_help_panel=DATA)(export)
 app.add_typer(dataset_app, name="dataset", cls=HelpGroup, rich_help_panel=DATA)
 for group in (live_app, scenario_app, bench_app, dataset_app):
     for registered in group.registered_commands:

@@ -44,6 +44,9 @@ PERCEPTIONS = ("rendered", "ideal", "noisy")
 TABLE_FORMATS = ("csv", "jsonl")
 """Formats of the table of detections."""
 
+EXPORT_FORMATS = ("csv", "parquet", "rosbag2", "coco")
+"""Formats of an exported run."""
+
 
 def complete_detector(incomplete: str) -> list[str]:
     """Return the detectors whose names begin with the typed text."""
@@ -63,6 +66,11 @@ def complete_perception(incomplete: str) -> list[str]:
 def complete_format(incomplete: str) -> list[str]:
     """Return the formats of a table whose names begin with the typed text."""
     return _begin(TABLE_FORMATS, incomplete)
+
+
+def complete_export_format(incomplete: str) -> list[str]:
+    """Return the formats of an exported run whose names begin with the typed text."""
+    return _begin(EXPORT_FORMATS, incomplete)
 
 
 def complete_dictionary(incomplete: str) -> list[str]:

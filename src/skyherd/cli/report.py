@@ -1,13 +1,12 @@
 """`skyherd report`: make figures, summary and page from the recording of a run, simulated or live."""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from skyherd.cli.console import say, warn
-from skyherd.errors import InputError
+from skyherd.cli.run_folders import is_simulated_run
 
 
 def report(
@@ -20,25 +19,12 @@ def report(
     A simulated run has one recording, a live run one for each process. The video of a simulated run is made
     again, too, if the recording has images.
     """
-    from skyherd.datasets import refuse_configuration
     from skyherd.jobs.helpers import cores
-    from skyherd.live.review import make_live_report, recorded_files
+    from skyherd.live.review import make_live_report
     from skyherd.report.run_page import PAGE
     from skyherd.runner import RECORDING, make_report
 
-    is_simulated = os.path.lexists(folder / RECORDING)
-    allowed = "the output folder of `skyherd run` or `skyherd live run`"
-    if not os.path.isdir(folder):
-        if folder.name == RECORDING and os.path.isdir(folder.parent):
-            raise InputError(
-                str(folder), "is a recording", f"give its folder: `skyherd report {folder.parent}`"
-            )
-        refuse_configuration(folder, "run")
-        what = "is a file" if os.path.lexists(folder) else "no such folder"
-        raise InputError(str(folder), what, allowed)
-    if not is_simulated and not recorded_files(folder):
-        what = f"no {RECORDING} in it, and no recordings of units or robots"
-        raise InputError(str(folder), what, allowed)
+    is_simulated = is_simulated_run(folder, "report")
     summary = make_report(folder, jobs=cores()) if is_simulated else make_live_report(folder)
     if "recording" in summary:
         where = folder / RECORDING if is_simulated else folder

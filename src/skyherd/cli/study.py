@@ -1,7 +1,6 @@
 """`skyherd study`: run a scenario many times, on all cores or a cluster, and keep the outcomes in a table."""
 
 import json
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -96,13 +95,10 @@ def _require_extra() -> None:
     Raises:
         InputError: a module of the extra is missing; the message has the command that installs it.
     """
+    from skyherd.plugins import import_extra
+
     for module in EXTRA:
-        try:
-            import_module(module)
-        except ImportError:
-            raise InputError(
-                "skyherd study", f"{module} is not installed", "pip install 'skyherd[study]'"
-            ) from None
+        import_extra(module, module, "skyherd study", "study")
 
 
 def _preview(plan: "Plan", folder: Path, retry: bool) -> int:

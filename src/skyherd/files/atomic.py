@@ -3,6 +3,7 @@
 import os
 import re
 import secrets
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -60,3 +61,35 @@ def write_text(path: Path, text: str) -> Path:
         OutputError: writing failed; the temporary file is removed.
     """
     return write_whole(path, lambda part: part.write_text(text, "utf-8"))
+
+
+@contextmanager
+def part_folder(folder: Path) -> Iterator[Path]:
+    """Yield a new folder with a temporary name inside a folder; it is removed at the end of the `with` body.
+
+    For libraries that write several files at once. The body moves the complete files to their places.
+
+    Raises:
+        OutputError: writing failed.
+    """
+    part = part_of(folder / "part")
+    try:
+        part.mkdir()
+        yield part
+    except OutputError:
+        raise
+    except OSError as error:
+        why = error.strerror or error
+        raise OutputError(
+            f"{folder}: cannot be written: {why}; free some space or choose another folder"
+        ) from None
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def remove_part(path: Path) -> None:
+    """Remove a temporary file or folder, if it exists."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)

@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import Self
 
 from skyherd.errors import InputError, OutputError
-from skyherd.files.atomic import PART
+from skyherd.files.atomic import PART, remove_part
 from skyherd.files.folder_lock import FolderLock
 from skyherd.files.folder_record import RECORD, Entry, digest_of, read_entries, write_record, writer_of
 from skyherd.files.reading import is_regular
@@ -212,7 +212,7 @@ class OutputFolder:
                 (self.path / folder).rmdir()
 
     def _remove_parts(self) -> None:
-        """Remove incomplete files of earlier processes."""
+        """Remove incomplete files and folders of earlier processes."""
         folders = {(self.path / name).parent for name in [*self.names, *self._entries, RECORD]}
         for name in self.names:
             if name.endswith("/"):
@@ -221,7 +221,7 @@ class OutputFolder:
             if folder.is_dir():
                 for path in folder.iterdir():
                     if PART.fullmatch(path.name):
-                        path.unlink(missing_ok=True)
+                        remove_part(path)
 
     def _undo(self) -> None:
         """Remove the new files, and drop them from the record."""

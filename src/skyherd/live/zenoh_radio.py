@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from skyherd.errors import InputError
-from skyherd.live.drivers.extras import import_extra
 from skyherd.live.lab import LabRadio
 from skyherd.live.mailbox import Radio
+from skyherd.plugins import import_extra
 
 ANY_PORT = "tcp/127.0.0.1:0"
 """Additional endpoint of a process without TLS: any free port of loopback. Only one process of a machine gets
@@ -42,7 +42,7 @@ class ZenohRadio(Radio):
 
     def __init__(self, places: LabRadio, folder: Path, *, insecure: bool = False) -> None:
         places.check(insecure=insecure)
-        zenoh = import_extra("zenoh", "eclipse-zenoh", "radio")
+        zenoh = import_extra("zenoh", "eclipse-zenoh", "radio", "live")
         config = zenoh.Config()
         settings: dict[str, Any] = {
             "mode": "peer",

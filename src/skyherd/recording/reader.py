@@ -1,5 +1,6 @@
 """Reading of recordings: a run's mission and steps, as far as its file is readable."""
 
+import base64
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -138,6 +139,19 @@ def read_steps(path: Path) -> Iterator[Step]:
                 with _version_checked(path):
                     mission = read_mission(record)
             yield from _steps_of(path, _need(path, mission, found), messages, images=True)
+
+
+def read_pictures(path: Path) -> Iterator[tuple[float, int, bytes]]:
+    """Yield time (s), unit and JPEG data of each recorded camera image, in the order of steps and units.
+
+    Raises:
+        InputError: there is no such file, or it is not a recording of skyherd.
+    """
+    for topic, time_s, record in read_messages(path):
+        if topic.endswith("/image"):
+            with _version_checked(path):
+                unit, jpeg = int(topic.split("/")[2]), base64.b64decode(record["data"])
+            yield time_s, unit, jpeg
 
 
 @contextmanager

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, urlsplit
 
 from skyherd.errors import InputError
-from skyherd.live.drivers.extras import import_extra
 from skyherd.live.drivers.link import Motion
+from skyherd.plugins import import_extra
 
 BAUD = 115200
 """Default speed of a serial port, bit/s. *Chosen*: usual, and a line takes 3 ms."""
@@ -133,7 +133,7 @@ class SerialLines:
 
     def __init__(self, address: str, robot_id: int) -> None:
         self._path, self._baud = serial_place(address, robot_id)
-        self._serial = import_extra("serial", "pyserial", f"driver {address}")
+        self._serial = import_extra("serial", "pyserial", f"driver {address}", "live")
         self.name, self._robot, self._number = address, robot_id, 0
         try:
             self._port: Any = self._open()

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 from urllib.parse import parse_qsl, unquote, urlsplit
 
 from skyherd.errors import InputError
-from skyherd.live.drivers.extras import import_extra
 from skyherd.live.drivers.link import STILL, Motion
+from skyherd.plugins import import_extra
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 """Default ports of the broker, by scheme. *Defined* by MQTT."""
@@ -100,7 +100,7 @@ class Mqtt:
         broker, parts = broker_of(address, robot_id), urlsplit(address)
         self.name, self._topic = broker.name, broker.topic
         self._where = f"driver {self.name}"
-        library = import_extra("paho.mqtt.client", "paho-mqtt", self._where)
+        library = import_extra("paho.mqtt.client", "paho-mqtt", self._where, "live")
         self._robot, self._number = robot_id, 0
         self._client = library.Client(library.CallbackAPIVersion.VERSION2)
         if parts.username:

@@ -27,8 +27,8 @@ from urllib.parse import parse_qsl, urlsplit
 from skyherd.errors import InputError
 from skyherd.files.reading import read_text
 from skyherd.live.drivers.cdr import twist, twist_stamped
-from skyherd.live.drivers.extras import import_extra
 from skyherd.live.drivers.link import Motion
+from skyherd.plugins import import_extra
 
 PORT = 7447
 """Default port of the router. *Defined* by Zenoh."""
@@ -155,7 +155,7 @@ class Ros2:
         self.name, self._now_ns = address, now_ns
         self.topic = topic_of(address, robot_id)
         where = f"driver {address}"
-        self._zenoh = import_extra("zenoh", "eclipse-zenoh", where)
+        self._zenoh = import_extra("zenoh", "eclipse-zenoh", where, "live")
         try:
             self._session = self._zenoh.open(self._configuration(address))
         except InputError:

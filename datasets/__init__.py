@@ -40,6 +40,7 @@ from skyherd.datasets.configuration.intervention_models import (
     UnitIntervention,
     read_interventions,
 )
+from skyherd.datasets.configuration.marker_layout import MAX_PLACES, RobotMarkerModel, make_layout
 from skyherd.datasets.configuration.mission import (
     Mission,
     ScenarioSource,
@@ -120,6 +121,7 @@ __all__ = [
     "BODY_SIDES",
     "CAMERAS",
     "LAB",
+    "MAX_PLACES",
     "METHODS",
     "OWN_METHOD",
     "SHAPES",
@@ -150,6 +152,7 @@ __all__ = [
     "ObstacleMarkerModel",
     "Point",
     "RobotIntervention",
+    "RobotMarkerModel",
     "RobotsModel",
     "RolesModel",
     "ScatterModel",
@@ -179,6 +182,7 @@ __all__ = [
     "load_spec",
     "locate",
     "make_dataset",
+    "make_layout",
     "make_mission",
     "parse_toml",
     "put_value",

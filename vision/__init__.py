@@ -2,7 +2,7 @@
 
 `create_detector` creates a detector by name, and `Detector` is the interface of all detectors. `explain`
 returns the reasons why markers were not detected, and `suggest` returns settings to try. `measure_outlines`
-fits detected markers again, for corners with full covariances.
+fits detected markers again, for corners with full covariances. `fuse_markers` joins the markers of a robot.
 """
 
 from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
@@ -20,6 +20,7 @@ from skyherd.vision.detectors.registry import (
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
+from skyherd.vision.fusion import fuse_markers
 from skyherd.vision.photometric.detector import DeferringDetector, PhotometricDetector
 from skyherd.vision.photometric.outlines import measure_outlines
 
@@ -42,6 +43,7 @@ __all__ = [
     "explain",
     "explain_mirrored",
     "find_dictionary",
+    "fuse_markers",
     "load_accuracy",
     "measure_outlines",
     "peer_names",

@@ -101,7 +101,7 @@ class CoverIntervention(InterventionModel):
     """A marker is covered by a card of one grey level that moves with it, or uncovered."""
 
     kind: Literal["cover"]
-    marker: MarkerId = Field(description="marker of a robot or an obstacle")
+    marker: MarkerId = Field(description="marker on a robot or an obstacle")
     covered: bool = Field(True, description="whether it is covered from now on")
 
 

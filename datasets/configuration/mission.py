@@ -21,6 +21,7 @@ from skyherd.datasets.configuration.intervention_models import (
     RobotIntervention,
     TemplateIntervention,
 )
+from skyherd.datasets.configuration.marker_layout import make_layout
 from skyherd.datasets.configuration.models import Scenario
 from skyherd.datasets.configuration.obstacles import check_obstacles
 from skyherd.datasets.configuration.robot_models import RobotsModel
@@ -34,6 +35,7 @@ from skyherd.errors import DegenerateSetError, InputError, ProblemCollector, joi
 from skyherd.files.images import Grey, read_grey
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
 from skyherd.markers.dictionary import dictionary_size
+from skyherd.markers.layout import MarkerLayout
 from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.messages.checks import check_kind
 from skyherd.random_streams import RunStream, generator
@@ -67,7 +69,7 @@ class Mission:
     Attributes:
         scenario: the scenario as given.
         template: the first shape: a point for each robot, in image sense (y down).
-        ids: (N,) markers of the robots, ascending.
+        ids: (N,) the robots, ascending; their markers, if each has one.
         positions_m: (N, 2) start positions on the ground, in the order of `ids`.
         headings_rad: (N,) start headings, counter-clockwise from +x.
         ground_image: grey picture (height, width) on the ground, or None.
@@ -130,7 +132,8 @@ class Mission:
             with problems.collecting():
                 if found := list(settings.intervention_problems(intervention)):
                     raise join_errors([problem.within_key(where) for problem in found])
-                _check_marker(intervention, self.ids, self.obstacle_ids, where)
+                markers = self.ids if self.layout is None else self.layout.ids
+                _check_marker(intervention, self.ids, np.union1d(markers, self.obstacle_ids), where)
                 settings = settings.after(intervention)
                 if isinstance(intervention, TemplateIntervention):
                     later.append((intervention.at_s, _later_shape(intervention, scenario, self.ids, where)))
@@ -156,6 +159,11 @@ class Mission:
     def bodies(self) -> Bodies:
         """Round bodies of robots and obstacles."""
         return self.scenario.make_bodies()
+
+    @cached_property
+    def layout(self) -> MarkerLayout | None:
+        """The markers on the robots; None if each has one, at its reference point."""
+        return _make_layout(self.scenario, self.ids)
 
     @cached_property
     def obstacle_ids(self) -> IntArray:
@@ -303,7 +311,10 @@ def _team(scenario: Scenario, folder: Path, rng: np.random.Generator) -> _Team:
     limit = dictionary_size(dictionary)
     template = _template(scenario.template, scenario.robots, dictionary, folder)
     ids = _robot_ids(scenario.robots, template)
-    if ids.max() >= limit:
+    marker_ids, layout = ids, _make_layout(scenario, ids)
+    if layout is not None:
+        marker_ids = layout.ids
+    elif ids.max() >= limit:
         raise InputError(
             "robots.ids",
             f"{ids.size} robots, ids up to {ids.max()}, but {dictionary} has {limit} markers",
@@ -321,11 +332,13 @@ def _team(scenario: Scenario, folder: Path, rng: np.random.Generator) -> _Team:
     obstacle_ids = np.array([obstacle.id for obstacle in scenario.obstacles], dtype=np.int64)
     for number, intervention in enumerate(scenario.interventions):
         with problems.collecting():
-            _check_marker(intervention, ids, obstacle_ids, f"interventions.{number}")
+            known = np.union1d(marker_ids, obstacle_ids)
+            _check_marker(intervention, ids, known, f"interventions.{number}")
     with problems.collecting():
         _check_classes(scenario, ids)
     with problems.collecting():
-        check_obstacles(scenario.obstacles, ids, limit, scenario.marker)
+        robots = ids if layout is None else layout.robot_ids
+        check_obstacles(scenario.obstacles, marker_ids, robots, scenario.marker)
     problems.raise_all()
     with problems.collecting():
         positions_m = start_positions(scenario, ids, template, rng)
@@ -388,13 +401,24 @@ def _check_times(scenario: Scenario) -> None:
         before_s = shape.at_s
 
 
-def _check_marker(intervention: Intervention, ids: IntArray, obstacle_ids: IntArray, where: str) -> None:
+def _make_layout(scenario: Scenario, ids: IntArray) -> MarkerLayout | None:
+    """Return the markers on robots `ids` (N,); None for one on each."""
+    return make_layout(
+        scenario.robots.markers,
+        ids.tolist(),
+        scenario.marker.dictionary,
+        key="robots.markers",
+        dictionary_key="marker.dictionary",
+    )
+
+
+def _check_marker(intervention: Intervention, ids: IntArray, marker_ids: IntArray, where: str) -> None:
     """Check that the robot or marker of an intervention exists."""
     match intervention:
         case RobotIntervention():
             key, number, known = "robot", intervention.robot, ids
         case CoverIntervention():
-            key, number, known = "marker", intervention.marker, np.union1d(ids, obstacle_ids)
+            key, number, known = "marker", intervention.marker, marker_ids
         case _:
             return
     if number not in known:

@@ -4,25 +4,32 @@ Obstacles are static round bodies with markers. They are rendered and detected l
 in the template. This is how the controller distinguishes them from robots.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from skyherd.datasets.configuration.robot_models import MarkerModel, ObstacleMarkerModel, ObstacleModel
 from skyherd.errors import InputError
 from skyherd.geometry import IntArray
+from skyherd.markers.dictionary import dictionary_size
 
 
 def check_obstacles(
-    obstacles: Sequence[ObstacleModel], robot_ids: IntArray, limit: int, marker: MarkerModel
+    obstacles: Sequence[ObstacleModel], marker_ids: IntArray, robot_ids: IntArray, marker: MarkerModel
 ) -> None:
     """Check that each obstacle has its own marker, and that no marker covers another.
 
+    Args:
+        obstacles: the obstacles in the order of the file.
+        marker_ids: (M,) markers of the robots.
+        robot_ids: (M,) the robot of each.
+        marker: keys of the markers.
+
     Raises:
-        InputError: an id is that of a robot or of another obstacle, or not below `limit`; or the distance of
-            two obstacles is less than a marker side.
+        InputError: an id is that of a robot, of its marker or of another obstacle, or not in the dictionary;
+            or the distance of two obstacles is less than a marker side.
     """
-    check_obstacle_ids(obstacles, robot_ids.tolist(), limit, marker.dictionary, "marker.dictionary")
+    check_obstacle_ids(obstacles, marker_ids, robot_ids, marker.dictionary, "marker.dictionary")
     for number, obstacle in enumerate(obstacles):
         where = f"obstacles.{number}"
         for other in obstacles[:number]:
@@ -34,8 +41,8 @@ def check_obstacles(
 
 def check_obstacle_ids(
     obstacles: Sequence[ObstacleMarkerModel],
-    robot_ids: Iterable[int],
-    limit: int,
+    marker_ids: Sequence[int] | IntArray,
+    robot_ids: Sequence[int] | IntArray,
     dictionary: str,
     dictionary_key: str,
 ) -> None:
@@ -43,15 +50,17 @@ def check_obstacle_ids(
 
     Args:
         obstacles: the obstacles in the order of the file.
-        robot_ids: markers of the robots.
-        limit: number of markers in the dictionary.
+        marker_ids: (M,) markers of the robots.
+        robot_ids: (M,) the robot of each.
         dictionary: name of the dictionary.
         dictionary_key: key of the file that names the dictionary.
 
     Raises:
-        InputError: an id is that of a robot or of another obstacle, or not below `limit`.
+        InputError: an id is that of a robot, of its marker or of another obstacle, or not in the dictionary.
     """
+    limit = dictionary_size(dictionary)
     taken = {int(robot): f"robot {robot}" for robot in robot_ids}
+    taken |= {int(one): f"robot {robot}" for one, robot in zip(marker_ids, robot_ids, strict=True)}
     for number, obstacle in enumerate(obstacles):
         where = f"obstacles.{number}.id"
         if obstacle.id >= limit:

@@ -17,6 +17,7 @@ from skyherd.datasets.configuration.fields import (
     Point,
     Positive,
 )
+from skyherd.datasets.configuration.marker_layout import MAX_PLACES, RobotMarkerModel
 
 MarkerId = Annotated[int, Field(ge=0, lt=2**31)]
 """Number of a marker in its dictionary. The completed scenario is checked against the dictionary's size."""
@@ -92,7 +93,9 @@ class RobotsModel(Model):
         None, description="number of robots, where it does not follow from positions, ids or points"
     )
     ids: list[MarkerId] | None = Field(
-        None, max_length=MAX_ROBOTS, description="marker of each robot; 0, 1, … if left out"
+        None,
+        max_length=MAX_ROBOTS,
+        description="number of each robot, and of its marker; 0, 1, … if left out",
     )
     max_speed_mps: Positive = Field(1.0, description="m/s; limit on the speed |v|")
     clock_offset_s: ClockOffset = Field(
@@ -105,6 +108,11 @@ class RobotsModel(Model):
     timeout_s: Positive = Field(
         0.5,
         description="s; a robot forgets its goal after this; keep it above the time between two images",
+    )
+    markers: list[RobotMarkerModel] = Field(
+        [],
+        max_length=MAX_PLACES,
+        description="several markers on each robot; if left out, one at its reference point with its id",
     )
     body_radius_sides: NotNegative = Field(
         0.0, description="marker sides; radius of the round body about the marker; 0: robots are points"

@@ -16,6 +16,7 @@ from skyherd.messages.short_repr import short_repr
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.agents import ControllerFactory, UnitAgents, make_controller
 from skyherd.sim.faulty_cameras import with_camera_faults
+from skyherd.sim.fused_markers import with_fused_markers
 from skyherd.sim.interventions import Simulation, intervene
 from skyherd.sim.perception import make_run_perception
 from skyherd.sim.physics import make_network, make_world
@@ -108,7 +109,7 @@ def run_steps(
 
     Args:
         mission: what to run.
-        perception: source of each unit's detections; by default the scenario's.
+        perception: source of each unit's detections of markers; by default the scenario's.
         controller_for: factory of a unit's controller (mission, unit); called at the start and in each
             outage.
         team_for: factory of the robots (mission, world).
@@ -122,7 +123,8 @@ def run_steps(
     scenario = mission.scenario
     frame_rng = generator(scenario.seed, RunStream.LOST_FRAMES)
     world, observer = make_world(mission), TruthObserver(mission.template, mission.ids)
-    perception = with_camera_faults(perception or make_run_perception(mission), mission)
+    perception = with_fused_markers(perception or make_run_perception(mission), mission)
+    perception = with_camera_faults(perception, mission)
     network = make_network(scenario, generator(scenario.seed, RunStream.MESSAGES))
     agents, team = UnitAgents(mission, controller_for), team_for(mission, world)
     simulation = Simulation(world, network, team)

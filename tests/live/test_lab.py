@@ -52,6 +52,12 @@ def test_points_belong_to_robots_in_the_order_of_the_file() -> None:
         ("limits.goal_timeout_s=0.05", "two period_s"),
         ("markers.side_m=nan", "markers.side_m"),
         ("markers.dictionary='5x5'", "dictionary"),
+        (
+            "markers.on_robots=[{}, {add_to_id=5, offset_sides=[1, 0]}]",
+            "overlaps that of markers.on_robots.0",
+        ),
+        ("markers.on_robots=[{}, {add_to_id=49, offset_sides=[2, 0]}]", "but 4X4_50 has 50 markers"),
+        ("markers.on_robots=[{}, {add_to_id=1, offset_sides=[2, 0]}]", "would share the marker 1"),
         ("robots.0.id=999", "no marker 999"),
         ("robots.0.id=1", "1 is there twice"),
         ("shape.shape='heart'", "heart"),

@@ -2,14 +2,17 @@
 
 import re
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from five_markers import five_markers
 from live_processes import PATIENCE_S
 from PIL import Image
 
+from skyherd.datasets import make_mission
 from skyherd.errors import InputError
-from skyherd.live.lab import load_lab
+from skyherd.live.lab import load_lab, make_lab
 from skyherd.live.live_clock import LiveClock
 from skyherd.live.logs.process_log import ProcessLog
 from skyherd.live.logs.process_log_file import read_process_log
@@ -17,6 +20,7 @@ from skyherd.live.logs.replay import replay
 from skyherd.live.mailbox import Air
 from skyherd.live.process_context import ProcessContext
 from skyherd.live.unit_process import UnitAtWork, run_unit
+from skyherd.loop import run_steps
 from skyherd.recording.mcap_log import McapLog
 from skyherd.vision import DeferringDetector
 
@@ -269,3 +273,27 @@ class TestUnitProcess:
         context = context_of(tmp_path / "run", lambda line: None, lambda: order[-1:] == [90])
         run_unit(context, 0, address=str(images), dry_run=True)
         assert order[-3:] == ["looked", "reported", 90]
+
+    def test_unit_records_robots_instead_of_their_markers(self, tmp_path, monkeypatch) -> None:
+        """The unit's controller sees robots, of which each has five markers."""
+        image = next(run_steps(make_mission(five_markers()))).frames[0].sight.image
+        images = tmp_path / "images"
+        images.mkdir()
+        Image.fromarray(image).save(images / "0.png")
+        ended = []
+        context = context_of(tmp_path / "run", lambda line: None, lambda: bool(ended))
+        tree = five_markers()
+        look = UnitAtWork.look
+        monkeypatch.setattr(UnitAtWork, "look", lambda *given: (look(*given), ended.append(1))[0])
+        lab = context.lab.model.model_dump(mode="json")
+        lab["robots"] = [{"id": robot} for robot in range(6)]
+        lab["shape"] = {"points": tree["template"]["points"]}
+        lab["markers"] = {"side_m": 0.25, "on_robots": tree["robots"]["markers"]}
+        context = replace(context, lab=make_lab(lab))
+        run_unit(context, 0, address=str(images), dry_run=True)
+        records = [
+            record
+            for topic, record in read_process_log(tmp_path / "run" / "unit_0.mcap")
+            if topic == "/detections"
+        ]
+        assert sorted(records[0]["detections"]["ids"]) == list(range(6))

@@ -6,14 +6,17 @@ import av
 import cv2
 import numpy as np
 import pytest
+from five_markers import five_markers
 
 from skyherd.cli import main
-from skyherd.control import Template
-from skyherd.datasets import shape_points
+from skyherd.control import Template, fit_similarity
+from skyherd.datasets import make_mission, shape_points
 from skyherd.geometry import to_complex
+from skyherd.loop import run_steps
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
 from skyherd.tracking import GroundTracks, named_shape, shape_errors, track_videos
+from skyherd.vision import create_detector
 
 SIZE_PX = 480, 360
 """Width and height of the images."""
@@ -234,3 +237,20 @@ def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, video, tmp_p
     said = capsys.readouterr().err
     assert words in said and said.startswith("error: ") and said.count("\n") == 1
     assert not (tmp_path / "out").exists()
+
+
+def test_robots_with_several_markers_have_one_track_each() -> None:
+    """Tracks of the reference points agree with the true ones up to a similarity of the ground."""
+    mission = make_mission(five_markers() | {"duration_s": 0.3})
+    tracks = GroundTracks("five", layout=mission.layout)
+    detector = create_detector("photometric")
+    steps = list(run_steps(mission))
+    for number, step in enumerate(steps):
+        tracks.add(number, detector.detect(step.frames[0].sight.image, time_s=step.time_s))
+    assert tracks.ids.tolist() == mission.ids.tolist()
+    for sighting, step in zip(tracks.sightings, steps, strict=True):
+        order = np.argsort(sighting.seen.ids)
+        found, true = to_complex(sighting.positions[order]), to_complex(step.positions_m)
+        similarity = fit_similarity(found, true)
+        assert abs(similarity(found) - true).max() < 0.02 * mission.scenario.marker.side_m
+        assert similarity.scale == pytest.approx(mission.scenario.marker.side_m, rel=0.01)

@@ -29,7 +29,7 @@ def track(
         str | None,
         typer.Option(
             metavar="SCENARIO",
-            help="Compare with the shape and the robots of this scenario.",
+            help="Compare with the shape, the robots and their markers of this scenario.",
             autocompletion=complete_scenario,
         ),
     ] = None,
@@ -69,7 +69,9 @@ def track(
     for video in videos:
         refuse_configuration(video, "video")
     source = None if shape is None else named_shape(shape)
-    source = source if scenario is None else scenario_shape(scenario)
+    layout = None
+    if scenario is not None:
+        source, layout = scenario_shape(scenario)
     folder = out_dir or Path("tracks") / output_name(Path(os.path.abspath(videos[0])).stem)
     with ProgressReporter() as progress, telling_of_interrupts(NOTHING_LEFT):
         recordings = track_videos(
@@ -78,6 +80,7 @@ def track(
             shape=source,
             members=None if ids is None else parse_ids(ids, dictionary),
             side_m=side_m,
+            layout=layout,
             detector=detector,
             dictionary=dictionary,
             border_bits=border_bits,

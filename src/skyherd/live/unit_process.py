@@ -118,8 +118,9 @@ class UnitAtWork:
         clock = self.context.clock
         begun_s = clock()
         detections = self.detector.detect(frame.image, time_s=frame.captured_s, unit_id=self.core.unit_id)
-        found_s = clock()
         trouble = trouble or self._mirrored.look(frame, detections)
+        detections = self.context.lab.robots_of(detections)
+        found_s = clock()
         news, view = (None, None) if trouble else self._decide(frame, detections, begun_s, found_s)
         self.frame_log.show(frame.image, detections, None if news is None else news.decision, view)
         self._state = _described(detections, view)

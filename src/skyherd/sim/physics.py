@@ -25,6 +25,8 @@ def make_world(mission: Mission) -> World:
     scenario = mission.scenario
     return World(
         robots=Markers(mission.ids, mission.positions_m, mission.headings_rad),
+        layout=mission.layout,
+        side_m=scenario.marker.side_m,
         obstacles=Markers(mission.obstacle_ids, mission.obstacle_positions_m, mission.obstacle_headings_rad),
         drive=make_drive(scenario, mission.ids.size),
         units=[make_unit(scenario, number) for number in range(len(scenario.units))],

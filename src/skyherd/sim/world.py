@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
+from skyherd.markers.layout import MarkerLayout, Place
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.render import Camera, CameraPose, Imaging, Motion
 from skyherd.sim.drive import Drive
@@ -177,7 +178,7 @@ class World:
 
     Attributes:
         ids: (N,) robots.
-        positions_m: (N, 2) centres of the robots' markers.
+        positions_m: (N, 2) reference points of the robots: the centres of their markers, if each has one.
         headings_rad: (N,) headings of the robots.
         fleet: state of the aerial units.
         cameras: (U,) cameras of the units, at a zoom of 1.
@@ -186,13 +187,15 @@ class World:
         covered_ids: markers of robots and obstacles that are covered by a card.
 
     Args:
-        robots: the robots' markers at the start.
+        robots: the robots at the start.
         obstacles: markers of the static obstacles.
         drive: drives of the robots, at rest.
         units: the aerial units.
         autopilot: limits of their flight.
         radio_range_m: radio range between units, on the ground plane; None for no limit.
         frame_loss: share of the images of each camera that is lost.
+        layout: the markers on the robots; None for one on each, at its reference point.
+        side_m: side of the markers, the unit of the layout.
     """
 
     def __init__(
@@ -205,6 +208,8 @@ class World:
         autopilot: AutopilotLimits,
         radio_range_m: float | None = None,
         frame_loss: float = 0.0,
+        layout: MarkerLayout | None = None,
+        side_m: float = 1.0,
     ) -> None:
         self.ids = robots.ids
         self.positions_m, self.headings_rad = robots.positions_m.copy(), robots.headings_rad.copy()
@@ -213,6 +218,10 @@ class World:
         self.frame_losses = [frame_loss] * len(units)
         self.covered_ids: set[int] = set()
         self._obstacles, self._drive, self._autopilot = obstacles, drive, autopilot
+        alone = MarkerLayout.make(robots.ids, [Place(0, (0.0, 0.0))])
+        self._layout = alone if layout is None else layout
+        self._rows = np.searchsorted(robots.ids, self._layout.robot_ids)
+        self._offsets_m = side_m * self._layout.offsets_sides
         self._units, self._radio_range_m = list(units), radio_range_m
         self._time_s = 0.0
         self._tilts_rad = np.array([unit.tilt_rad for unit in units])
@@ -233,12 +242,16 @@ class World:
     @property
     def markers(self) -> Markers:
         """All markers on the ground: first those of the robots, then those of the obstacles."""
-        obstacles = self._obstacles
+        obstacles, headings_rad = self._obstacles, self.headings_rad[self._rows]
         return Markers(
-            np.concatenate([self.ids, obstacles.ids]),
-            np.concatenate([self.positions_m, obstacles.positions_m]),
-            np.concatenate([self.headings_rad, obstacles.headings_rad]),
+            np.concatenate([self._layout.ids, obstacles.ids]),
+            np.concatenate([self.positions_m[self._rows] + self._arms_m(), obstacles.positions_m]),
+            np.concatenate([headings_rad + self._layout.yaws_rad, obstacles.headings_rad]),
         )
+
+    def _arms_m(self) -> Array:
+        """Return the vectors (M, 2) on the ground from the robots to their markers."""
+        return to_points(self._offsets_m * np.exp(1j * self.headings_rad[self._rows]))
 
     def place_robot(self, robot: int, position_m: npt.ArrayLike, heading_rad: float) -> None:
         """Put a robot at a position (2,), m, with a heading, at rest until the next step."""
@@ -283,13 +296,15 @@ class World:
         climb = float(new.heights_m[unit] - old.heights_m[unit]) / self._step_s
         yaw_rate = float(wrap_angle(new.yaws_rad[unit] - old.yaws_rad[unit])) / self._step_s
         still, (mps, radps) = self._obstacles.ids.size, self._rates
+        arms_m, turns_radps = self._arms_m(), radps[self._rows]
+        marker_mps = mps[self._rows] + turns_radps[:, None] * np.stack([-arms_m[:, 1], arms_m[:, 0]], axis=1)
         sway = self._units[unit].sway
         tilt_u, tilt_v = (0.0, 0.0) if sway is None else sway.rates_at(self._time_s).tolist()
         return Motion(
             camera_mps=(x, y, climb),
             yaw_rate_radps=yaw_rate,
-            robots_mps=np.pad(mps, ((0, still), (0, 0))),
-            robots_radps=np.pad(radps, (0, still)),
+            robots_mps=np.pad(marker_mps, ((0, still), (0, 0))),
+            robots_radps=np.pad(turns_radps, (0, still)),
             tilt_rates_radps=(tilt_u, tilt_v),
         )
 

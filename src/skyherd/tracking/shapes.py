@@ -6,6 +6,7 @@ from skyherd.control import Template
 from skyherd.datasets import SHAPES, load_mission, shape_points
 from skyherd.errors import InputError
 from skyherd.geometry import IntArray
+from skyherd.markers.layout import MarkerLayout
 
 
 class ShapeSource(Protocol):
@@ -27,11 +28,13 @@ def named_shape(name: str) -> ShapeSource:
     return lambda ids: Template.from_ground_points(ids, shape_points(name, int(ids.size)))
 
 
-def scenario_shape(name: str) -> ShapeSource:
-    """Return the first shape of a built-in scenario or a scenario file, for its own robots.
+def scenario_shape(name: str) -> tuple[ShapeSource, MarkerLayout | None]:
+    """Return the first shape of a built-in scenario or a scenario file, and the markers on its robots.
+
+    The layout is None for one marker on each robot.
 
     Raises:
         InputError: the scenario does not exist, or is invalid.
     """
-    template = load_mission(name).template
-    return lambda ids: template
+    mission = load_mission(name)
+    return lambda ids: mission.template, mission.layout

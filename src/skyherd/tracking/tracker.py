@@ -13,6 +13,7 @@ from skyherd.files.atomic import whole_file, write_whole
 from skyherd.files.output_folder import OutputFolder
 from skyherd.files.video_reader import is_video, open_clip, read_clip
 from skyherd.jobs.progress import NO_PROGRESS, Progress
+from skyherd.markers.layout import MarkerLayout
 from skyherd.poses import check_side
 from skyherd.text import table_cell
 from skyherd.tracking.figure import draw_tracks
@@ -56,6 +57,7 @@ def track_videos(
     shape: ShapeSource | None = None,
     members: Collection[int] | None = None,
     side_m: float | None = None,
+    layout: MarkerLayout | None = None,
     detector: str = "photometric",
     dictionary: str = DEFAULT_DICTIONARY,
     border_bits: int = 1,
@@ -71,6 +73,7 @@ def track_videos(
         shape: the shape for comparison, for the markers of all videos together; None for none.
         members: the robots, if other markers are in view as well; None for all markers.
         side_m: side of the markers, m, for positions in metres; None for positions in marker sides.
+        layout: markers on the robots; None for one on each.
         detector: name or `module:factory`; each video gets a new detector.
         dictionary: dictionary of the markers.
         border_bits: width of the markers' black border in cells.
@@ -99,7 +102,7 @@ def track_videos(
         recordings = [
             _follow(tracks, video, create_detector(detector, **settings), progress)
             for video in videos
-            for tracks in [GroundTracks(video.name, robots, side_m)]
+            for tracks in [GroundTracks(video.name, robots, side_m, layout)]
         ]
         with _table(folder / TRACKS, _columns(side_m)) as table:
             table.writerows(row for tracks in recordings for row in _track_rows(tracks))

@@ -3,11 +3,12 @@
 import re
 from collections.abc import Iterator, Mapping
 
-from skyherd.datasets import check_obstacle_ids, locate
+from skyherd.datasets import check_obstacle_ids, locate, make_layout
 from skyherd.errors import InputError, join_errors
 from skyherd.live.drivers import check_driver
 from skyherd.live.lab.models import TEAM_PATTERN, LabModel
 from skyherd.markers.dictionary import dictionary_size
+from skyherd.markers.layout import MarkerLayout
 from skyherd.text import one_of
 from skyherd.vision import detector_names
 
@@ -67,6 +68,21 @@ def check_drivers(
         raise join_errors(problems)
 
 
+def make_lab_layout(model: LabModel) -> MarkerLayout | None:
+    """Return the markers on the robots of a lab; None for one on each.
+
+    Raises:
+        InputError: two markers overlap or have one id, or a marker is not in the dictionary.
+    """
+    return make_layout(
+        model.markers.on_robots,
+        {robot.id for robot in model.robots},
+        model.markers.dictionary,
+        key="markers.on_robots",
+        dictionary_key="markers.dictionary",
+    )
+
+
 def _name_problems(model: LabModel) -> Iterator[Problem]:
     """Check that the team's name is valid in topics."""
     if not re.fullmatch(TEAM_PATTERN, model.team):
@@ -94,8 +110,12 @@ def _robot_problems(model: LabModel) -> Iterator[Problem]:
     """Check that the dictionary contains the robots' markers, and that no two robots share one."""
     dictionary = model.markers.dictionary
     size, seen = dictionary_size(dictionary), set[int]()
+    try:
+        make_lab_layout(model)
+    except InputError as error:
+        yield error.where, error.what, error.allowed
     for index, robot in enumerate(model.robots):
-        if robot.id >= size:
+        if robot.id >= size and not model.markers.on_robots:
             allowed = f"0 to {size - 1}, or a larger dictionary in markers.dictionary"
             yield f"robots.{index}.id", f"{dictionary} has no marker {robot.id}", allowed
         if robot.id in seen:
@@ -118,8 +138,12 @@ def _body_problems(model: LabModel) -> Iterator[Problem]:
     avoidance, dictionary = model.avoidance, model.markers.dictionary
     ids = [robot.id for robot in model.robots]
     try:
-        size = dictionary_size(dictionary)
-        check_obstacle_ids(model.obstacles, ids, size, dictionary, "markers.dictionary")
+        layout = make_lab_layout(model)
+        markers, robots = (ids, ids) if layout is None else (layout.ids.tolist(), layout.robot_ids.tolist())
+    except InputError:  # a problem of the robots
+        markers = robots = ids
+    try:
+        check_obstacle_ids(model.obstacles, markers, robots, dictionary, "markers.dictionary")
     except InputError as error:
         yield error.where, error.what, error.allowed
     if not avoidance.on:

@@ -6,12 +6,14 @@ from typing import Annotated
 from pydantic import Field, FiniteFloat
 
 from skyherd.datasets import (
+    MAX_PLACES,
     AvoidanceModel,
     DictionaryName,
     FlightModel,
     Model,
     ObstacleMarkerModel,
     Point,
+    RobotMarkerModel,
     SelectionModel,
     SizeModel,
     WheelsModel,
@@ -56,6 +58,11 @@ class LabMarkers(Model):
     side_m: Annotated[FiniteFloat, Field(ge=0.001, le=10)] = Field(
         description="m; side of the black square, measured on the print"
     )
+    on_robots: list[RobotMarkerModel] = Field(
+        [],
+        max_length=MAX_PLACES,
+        description="several markers on each robot; if left out, one at its reference point with its id",
+    )
 
 
 class LabCamera(Model):
@@ -73,7 +80,7 @@ class LabCamera(Model):
 class LabRobot(Model):
     """One robot."""
 
-    id: Annotated[int, Field(ge=0, lt=2**31)] = Field(description="its marker")
+    id: Annotated[int, Field(ge=0, lt=2**31)] = Field(description="its number, and its marker if it has one")
     driver: Text = Field("dry-run", description="address of its wheel commands")
 
 

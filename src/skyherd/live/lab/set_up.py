@@ -1,6 +1,7 @@
 """A checked lab, which makes the cores of its unit and robot processes."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from skyherd.assembly import (
@@ -27,11 +28,15 @@ from skyherd.datasets import RolesModel
 from skyherd.errors import InputError
 from skyherd.live.drivers.driver import HOLD_S, RATE_HZ
 from skyherd.live.drivers.limits import SpeedLimits
+from skyherd.live.lab.checks import make_lab_layout
 from skyherd.live.lab.models import LabCamera, LabModel, LabRobot
 from skyherd.live.peers import ClockLimits
 from skyherd.live.robot_core import RobotCore, RobotLimits
 from skyherd.live.unit_core import UnitCore
+from skyherd.markers.layout import MarkerLayout
+from skyherd.messages import Detections
 from skyherd.sim.robot_teams import Timing, make_avoidance_rule
+from skyherd.vision import fuse_markers
 
 NOMINAL_AGE_SHARE = 0.5
 """Image age for which avoidance allows the fastest approach and after which goals show an effect, as a share
@@ -54,8 +59,17 @@ class Lab:
 
     @property
     def ids(self) -> list[int]:
-        """Marker ids of the robots, ascending."""
+        """Numbers of the robots, ascending; their marker ids, if each has one."""
         return sorted(robot.id for robot in self.model.robots)
+
+    @cached_property
+    def layout(self) -> MarkerLayout | None:
+        """The markers on the robots; None if each has one, at its reference point."""
+        return make_lab_layout(self.model)
+
+    def robots_of(self, found: Detections) -> Detections:
+        """Return the robots in an image, from the detections of their markers."""
+        return found if self.layout is None else fuse_markers(found, self.layout)
 
     def robot(self, robot_id: int) -> LabRobot:
         """Return the entry of the robot with a marker id.

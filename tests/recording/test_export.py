@@ -22,6 +22,7 @@ from skyherd.cli import choices
 from skyherd.datasets import load_mission
 from skyherd.errors import OutputError
 from skyherd.files.folder_record import RECORD
+from skyherd.files.image_streams import open_stream, read_stream
 from skyherd.live.logs.process_log import ProcessLog
 from skyherd.live.review import read_live_run
 from skyherd.live.wire import Sighting
@@ -192,6 +193,14 @@ def bag(exported):
 
 
 class TestRosbag:
+    def test_images_are_read_back_from_the_bag(self, exported, steps) -> None:
+        """A JPEG of the quality of recordings is within a few grey levels of its image."""
+        clip = open_stream(exported / "rosbag2")
+        images = [frame.sight.image for frame in frames_of(steps)]
+        for frame, image in zip(read_stream(clip), images, strict=True):
+            assert abs(frame.image.astype(float) - image).mean() < 4
+        assert clip.topic == "/unit_0/image/compressed"
+
     def test_detections_have_pose_and_covariance(self, bag, steps) -> None:
         messages = bag.by_topic["/unit_0/detections"]
         for message, frame in zip(messages, frames_of(steps), strict=True):

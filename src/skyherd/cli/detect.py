@@ -9,7 +9,7 @@ import typer
 from skyherd.cli.choices import TABLE_FORMATS, complete_dictionary, complete_format
 from skyherd.cli.console import ProgressReporter, complain, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
-from skyherd.cli.options import BorderBits, Detector, ForceFolder, Inverted, MarkerSide
+from skyherd.cli.options import BorderBits, Detector, ForceFolder, Inverted, MarkerSide, Topic
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,7 +25,10 @@ SHOWN_REJECTIONS = 20
 
 def detect(
     target: Annotated[
-        Path, typer.Argument(metavar="IMAGE|DIR|VIDEO", help="A picture, a folder, or a video.")
+        Path,
+        typer.Argument(
+            metavar="IMAGE|DIR|VIDEO|BAG", help="A picture, a folder, a video, or a rosbag2 recording."
+        ),
     ],
     dictionary: Annotated[
         str,
@@ -66,6 +69,7 @@ def detect(
     one_plane: Annotated[
         bool, typer.Option("--one-plane", help="All markers lie on one plane; makes poses more accurate.")
     ] = False,
+    topic: Topic = None,
     border_bits: BorderBits = 1,
     inverted: Inverted = False,
     repeats: Annotated[
@@ -84,6 +88,7 @@ def detect(
 
     Exit code 0 when done, 1 with --require if a file has none, 2 for bad input.
     """
+    from skyherd.files.rosbag_reader import is_bag
     from skyherd.inspection import AUTO, DETECTIONS, Inspector, output_name
 
     if kind not in TABLE_FORMATS:
@@ -95,7 +100,7 @@ def detect(
     if one_plane and camera is None:
         raise InputError("--one-plane", "given without --camera", "a calibration")
     side_m, calibration = _metric_options(marker_side_m, camera)
-    if target.suffix in (".toml", ".mcap"):
+    if target.suffix in (".toml", ".mcap") and not is_bag(target):
         from skyherd.datasets import refuse_configuration
 
         refuse_configuration(target, "picture or video")
@@ -111,6 +116,7 @@ def detect(
             side_m=side_m,
             calibration=calibration,
             one_plane=one_plane,
+            topic=topic,
             kind="jsonl" if kind == "jsonl" else "csv",
             progress=progress,
         )

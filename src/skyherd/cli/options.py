@@ -44,6 +44,16 @@ MarkerSide = Annotated[
     ),
 ]
 
+Topic = Annotated[
+    str | None,
+    typer.Option(
+        "--topic",
+        metavar="NAME",
+        show_default=False,
+        help="Topic of the images, for a rosbag2 recording with several.",
+    ),
+]
+
 ScenarioSettings = Annotated[
     list[str] | None,
     typer.Option(

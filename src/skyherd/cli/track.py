@@ -9,7 +9,7 @@ import typer
 from skyherd.cli.choices import complete_scenario
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
-from skyherd.cli.options import BorderBits, Detector, Dictionary, ForceFolder, Inverted, MarkerSide
+from skyherd.cli.options import BorderBits, Detector, Dictionary, ForceFolder, Inverted, MarkerSide, Topic
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 
 def track(
-    videos: Annotated[list[Path], typer.Argument(metavar="VIDEO", help="Videos from above.")],
+    videos: Annotated[
+        list[Path], typer.Argument(metavar="VIDEO|BAG", help="Videos or rosbag2 recordings from above.")
+    ],
     shape: Annotated[
         str | None,
         typer.Option(
@@ -38,6 +40,7 @@ def track(
         typer.Option(metavar="IDS", help="Follow only these markers, such as 0-15,20."),
     ] = None,
     marker_side_m: MarkerSide = None,
+    topic: Topic = None,
     dictionary: Dictionary = "4X4_50",
     detector: Detector = "photometric",
     out_dir: Annotated[
@@ -58,6 +61,7 @@ def track(
     Exit code 0 when done, 1 if no robot's marker was found, 2 for bad input.
     """
     from skyherd.datasets import refuse_configuration
+    from skyherd.files.rosbag_reader import is_bag
     from skyherd.inspection import output_name
     from skyherd.markers.sheet_layout import parse_ids
     from skyherd.poses import check_side
@@ -67,7 +71,8 @@ def track(
         raise InputError("--shape", "given with --scenario", "one of the two")
     side_m = None if marker_side_m is None else check_side("--marker-side-m", marker_side_m)
     for video in videos:
-        refuse_configuration(video, "video")
+        if not is_bag(video):
+            refuse_configuration(video, "video")
     source = None if shape is None else named_shape(shape)
     layout = None
     if scenario is not None:
@@ -81,6 +86,7 @@ def track(
             members=None if ids is None else parse_ids(ids, dictionary),
             side_m=side_m,
             layout=layout,
+            topic=topic,
             detector=detector,
             dictionary=dictionary,
             border_bits=border_bits,

@@ -88,19 +88,33 @@ def read_grey(path: Path, *, max_pixels: int | None = None) -> Grey:
     Raises:
         InputError: the file is missing, incomplete, too large, in CIE Lab, or not a picture.
     """
-    data, most = _read_bytes(path), MAX_PIXELS if max_pixels is None else max_pixels
+    return grey_of_bytes(_read_bytes(path), str(path), max_pixels=max_pixels)
+
+
+def grey_of_bytes(data: bytes, where: str, *, max_pixels: int | None = None) -> Grey:
+    """Decode the content of a picture file; see `read_grey`.
+
+    Args:
+        data: the content.
+        where: its name in errors and warnings.
+        max_pixels: maximum accepted size, pixels; `MAX_PIXELS` if None.
+
+    Raises:
+        InputError: it is incomplete, too large, in CIE Lab, or not a picture.
+    """
+    most = MAX_PIXELS if max_pixels is None else max_pixels
     with _quiet_pillow():
         try:
             with Image.open(io.BytesIO(data), formats=DECODERS) as picture:
                 pixels = picture.width * picture.height
                 if pixels > most:
                     what = f"{pixels / 1e6:.0f} megapixels"
-                    raise _refuse(path, what, f"at most {most / 1e6:.0f} can be read")
+                    raise _refuse(where, what, f"at most {most / 1e6:.0f} can be read")
                 if pixels > max(PLAUSIBLE_PIXELS, PIXELS_A_BYTE * len(data)):
                     what = f"damaged: {pixels / 1e6:.0f} megapixels in {len(data)} bytes"
-                    raise _refuse(path, what, f"give {FORMATS} that is whole")
+                    raise _refuse(where, what, f"give {FORMATS} that is whole")
                 if picture.mode == "LAB":
-                    raise _refuse(path, "colour space LAB is not read", "save it as grey or RGB")
+                    raise _refuse(where, "colour space LAB is not read", "save it as grey or RGB")
                 deep = _is_deep(picture)
                 picture.load()
                 grey = _grey_of_deep(data) if deep else _grey(picture)
@@ -109,12 +123,12 @@ def read_grey(path: Path, *, max_pixels: int | None = None) -> Grey:
         except InputError:
             raise
         except UnidentifiedImageError:
-            raise _refuse(path, "not a picture", f"give {FORMATS}") from None
+            raise _refuse(where, "not a picture", f"give {FORMATS}") from None
         except _BROKEN as error:
             why = " ".join(str(error).split()) or type(error).__name__
-            raise _refuse(path, f"damaged or cut short ({why})", f"give {FORMATS} that is whole") from None
+            raise _refuse(where, f"damaged or cut short ({why})", f"give {FORMATS} that is whole") from None
     if pages > 1:
-        warnings.warn(InputWarning(f"{path}: {pages} pages; the first is read"), stacklevel=2)
+        warnings.warn(InputWarning(f"{where}: {pages} pages; the first is read"), stacklevel=2)
     return upright
 
 
@@ -138,14 +152,14 @@ def decode_jpeg(data: bytes, size_px: tuple[int, int]) -> Grey:
             raise ValueError(f"image: {' '.join(str(error).split())}") from None
 
 
-def _refuse(path: Path, what: str, allowed: str) -> InputError:
-    return InputError(str(path), what, allowed)
+def _refuse(where: str, what: str, allowed: str) -> InputError:
+    return InputError(where, what, allowed)
 
 
 def _read_bytes(path: Path) -> bytes:
     data = read_bytes(path, f"give {FORMATS}", MAX_BYTES)
     if not data:
-        raise _refuse(path, "the file is empty", f"give {FORMATS}")
+        raise _refuse(str(path), "the file is empty", f"give {FORMATS}")
     return data
 
 
@@ -164,7 +178,7 @@ def _quiet_pillow() -> Iterator[None]:
 
 def _grey(picture: Image.Image) -> Grey:
     if picture.mode[0] in "IF":
-        return _grey_of_levels(np.asarray(picture))
+        return grey_of_levels(np.asarray(picture))
     if picture.mode in {"RGBA", "LA", "La", "RGBa", "PA"} or "transparency" in picture.info:
         opaque = Image.new("RGBA", picture.size, "white")
         opaque.alpha_composite(picture.convert("RGBA"))
@@ -190,7 +204,7 @@ def _grey_of_deep(data: bytes) -> Grey:
     return _scaled(np.asarray(grey * cover + 1 - cover, dtype=np.float32))
 
 
-def _grey_of_levels(levels: npt.NDArray[np.generic]) -> Grey:
+def grey_of_levels(levels: npt.NDArray[np.generic]) -> Grey:
     """Convert integers of up to 16 bits and more, or real numbers with white at 1, to grey."""
     values = np.nan_to_num(levels.astype(np.float32))
     top = float(values.max(initial=0.0))

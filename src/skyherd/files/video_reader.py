@@ -84,12 +84,14 @@ class Clip:
         rate_hz: frames per second.
         count: number of frames; 0 if unknown.
         end_s: end time of the pictures according to the file, s; None if not stated.
+        topic: topic of the images in a rosbag2 recording; None for a video.
     """
 
     path: Path
     rate_hz: Fraction
     count: int
     end_s: float | None = None
+    topic: str | None = None
 
 
 def is_video(path: Path) -> bool:

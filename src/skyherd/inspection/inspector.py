@@ -14,9 +14,10 @@ from PIL import Image
 
 from skyherd.errors import InputError
 from skyherd.files.atomic import write_whole
+from skyherd.files.image_streams import is_stream, open_stream, read_stream
 from skyherd.files.images import Grey, read_grey
 from skyherd.files.output_folder import OutputFolder
-from skyherd.files.video_reader import find_files, is_video, open_clip, read_clip
+from skyherd.files.video_reader import find_files
 from skyherd.files.video_writer import VideoSink
 from skyherd.inspection.annotator import Annotator
 from skyherd.inspection.file_result import FileResult
@@ -77,6 +78,7 @@ class Inspector:
         repeats: report an id that is found at several places at each of them.
         explained: also report why candidates were rejected; much slower.
         kind: format of the tables.
+        topic: topic of the images in a rosbag2 recording; None for the only one.
         side_m: side of the markers, m, for positions on the ground in metres; None for pixels alone.
         calibration: of the camera, for poses in its axes instead; needs `side_m`.
         one_plane: whether all markers lie on one plane, for these poses.
@@ -96,6 +98,7 @@ class Inspector:
         repeats: bool = False,
         explained: bool = False,
         kind: Format = "csv",
+        topic: str | None = None,
         side_m: float | None = None,
         calibration: "Calibration | None" = None,
         one_plane: bool = False,
@@ -108,7 +111,7 @@ class Inspector:
         self.detector, self.explained, self.kind = detector, explained, kind
         self.dictionary = dictionary if dictionary == AUTO else canonical_name(dictionary)
         self.border_bits, self.inverted, self.repeats = border_bits, inverted, repeats
-        self._progress = progress
+        self._topic, self._progress = topic, progress
         self._metres: MetricColumns | None = None
         usual = DEFAULT_DICTIONARY if dictionary == AUTO else self.dictionary
         load_dictionary(usual)
@@ -138,7 +141,7 @@ class Inspector:
         return suggest(image, dictionary, border_bits=self.border_bits, inverted=self.inverted)
 
     def inspect(self, target: Path, folder: Path, *, force: bool = False) -> list[FileResult]:
-        """Run the detector over a picture, a video, or all pictures and videos in a folder.
+        """Run the detector over a picture, a video, a rosbag2 recording, or a folder of pictures and videos.
 
         In a folder, an unreadable file does not stop the others: its result has `trouble`.
 
@@ -155,13 +158,13 @@ class Inspector:
                 in it would be replaced.
             OutputError: writing failed.
         """
-        files = find_files(target)
+        files = [target] if is_stream(target) else find_files(target)
         names = picture_names(files)
         table_names = [f"{DETECTIONS}.{self.kind}", f"{REJECTIONS}.{self.kind}"][: 2 if self.explained else 1]
         output = OutputFolder(folder, VERB, [*table_names, *names.values()], force=force, inputs=files)
         output.check()
-        if not target.is_dir():
-            _check_readable(target)
+        if files == [target] or self._topic is not None:
+            _check_readable(target, self._topic)
         with output, ExitStack() as stack:
             columns = [*DETECTION_COLUMNS, *self._metric_names()]
             tables = [self._open(stack, folder / DETECTIONS, columns)]
@@ -198,7 +201,7 @@ class Inspector:
         result = FileResult(file)
         self._metres = None if self._side_m is None else self._metric_columns(self._side_m)
         try:
-            (self._inspect_video if is_video(file) else self._inspect_picture)(result, picture, tables)
+            (self._inspect_video if is_stream(file) else self._inspect_picture)(result, picture, tables)
         except InputError as error:
             result.trouble = error
         return result
@@ -217,13 +220,13 @@ class Inspector:
         self._progress.update(result.file.name, 1, 1)
 
     def _inspect_video(self, result: FileResult, picture: Path, tables: list[Table]) -> None:
-        clip = open_clip(result.file)
+        clip = open_stream(result.file, self._topic)
         named = DEFAULT_DICTIONARY if self.dictionary == AUTO else self.dictionary
         detector, result.dictionary = self._create_detector(named), named
         searching = self.dictionary == AUTO
         sink: VideoSink | None = None
         with ExitStack() as stack:
-            for frame in read_clip(clip):
+            for frame in read_stream(clip):
                 height, width = frame.image.shape
                 if searching and (own := self._dictionary_of(frame.image)) is not None:
                     detector, result.dictionary, searching = self._create_detector(own), own, False
@@ -281,10 +284,10 @@ def _check_any_readable(target: Path, results: list[FileResult]) -> None:
     raise InputError(str(target), f"none of its {len(results)} files can be read", str(troubles[0]))
 
 
-def _check_readable(file: Path) -> None:
+def _check_readable(file: Path, topic: str | None) -> None:
     """Reject an unreadable file before a folder is created for it."""
-    if is_video(file):
-        open_clip(file)
+    if topic is not None or is_stream(file):
+        open_stream(file, topic)
     else:
         read_grey(file)
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from pathlib import Path
 
-from skyherd.files.video_reader import is_video
+from skyherd.files.image_streams import is_stream
 from skyherd.text import printable
 
 MAX_STEM_BYTES = 200
@@ -19,7 +19,7 @@ def output_name(name: str) -> str:
 
 def picture_names(files: list[Path]) -> dict[Path, str]:
     """Return the names of the annotated files; equal stems keep their whole names."""
-    ends = {file: ".mp4" if is_video(file) else ".png" for file in files}
+    ends = {file: ".mp4" if is_stream(file) else ".png" for file in files}
     stems = {file: output_name(file.stem) for file in files}
     often = Counter(stems[file] + ends[file] for file in files)
     named = {

@@ -10,8 +10,9 @@ import numpy as np
 
 from skyherd.errors import InputError
 from skyherd.files.atomic import whole_file, write_whole
+from skyherd.files.image_streams import is_stream, open_stream, read_stream
 from skyherd.files.output_folder import OutputFolder
-from skyherd.files.video_reader import is_video, open_clip, read_clip
+from skyherd.files.video_reader import Clip
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.markers.layout import MarkerLayout
 from skyherd.poses import check_side
@@ -58,6 +59,7 @@ def track_videos(
     members: Collection[int] | None = None,
     side_m: float | None = None,
     layout: MarkerLayout | None = None,
+    topic: str | None = None,
     detector: str = "photometric",
     dictionary: str = DEFAULT_DICTIONARY,
     border_bits: int = 1,
@@ -68,12 +70,13 @@ def track_videos(
     """Track the markers in videos, each independently, and write tables and a figure into a folder.
 
     Args:
-        videos: the recordings.
+        videos: the recordings: videos, or rosbag2 recordings.
         folder: the output folder.
         shape: the shape for comparison, for the markers of all videos together; None for none.
         members: the robots, if other markers are in view as well; None for all markers.
         side_m: side of the markers, m, for positions in metres; None for positions in marker sides.
         layout: markers on the robots; None for one on each.
+        topic: topic of the images in rosbag2 recordings; None for the only one of each.
         detector: name or `module:factory`; each video gets a new detector.
         dictionary: dictionary of the markers.
         border_bits: width of the markers' black border in cells.
@@ -91,16 +94,17 @@ def track_videos(
     if side_m is not None:
         check_side("side_m", side_m)
     for video in videos:
-        if not is_video(video):
-            raise InputError(str(video), "not a video by its name", "an .mp4, .mkv, .avi, .mov or .webm file")
-        open_clip(video)
+        if not is_stream(video):
+            allowed = "an .mp4, .mkv, .avi, .mov or .webm file, or a rosbag2 recording"
+            raise InputError(str(video), "not a video by its name", allowed)
+        open_stream(video, topic)
     settings: dict[str, Any] = dict(dictionary=dictionary, border_bits=border_bits, inverted=inverted)
     create_detector(detector, **settings)
     names = [TRACKS, FIGURE, *([SHAPE] if shape else [])]
     with OutputFolder(folder, VERB, names, force=force, inputs=videos):
         robots = None if members is None else frozenset(members)
         recordings = [
-            _follow(tracks, video, create_detector(detector, **settings), progress)
+            _follow(tracks, open_stream(video, topic), create_detector(detector, **settings), progress)
             for video in videos
             for tracks in [GroundTracks(video.name, robots, side_m, layout)]
         ]
@@ -123,13 +127,12 @@ def _columns(side_m: float | None) -> list[str]:
     return [*(METRE_COLUMNS.get(name, name) for name in TRACK_COLUMNS), *METRE_STDS]
 
 
-def _follow(tracks: GroundTracks, video: Path, detector: Detector, progress: Progress) -> GroundTracks:
-    """Add all images of a video to tracks, and return the tracks."""
-    clip = open_clip(video)
-    for frame in read_clip(clip):
+def _follow(tracks: GroundTracks, clip: Clip, detector: Detector, progress: Progress) -> GroundTracks:
+    """Add all images of a recording to tracks, and return the tracks."""
+    for frame in read_stream(clip):
         tracks.add(frame.index, detector.detect(frame.image, time_s=frame.time_s))
         done = frame.index + 1
-        progress.update(video.name, done, max(clip.count, done) if clip.count else None)
+        progress.update(clip.path.name, done, max(clip.count, done) if clip.count else None)
     return tracks
 
 

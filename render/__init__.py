@@ -33,6 +33,7 @@ from skyherd.render.scene.clutter import Clutter
 from skyherd.render.scene.occluders import Disc, Quad
 from skyherd.render.sensor import Illumination, Sensor
 from skyherd.render.shot import Imaging, Shot
+from skyherd.render.standing import facing_rows, shadows
 from skyherd.render.team_projection import TeamImage, project_team
 from skyherd.render.truth import FrameTruth, project_markers
 
@@ -57,11 +58,13 @@ __all__ = [
     "Shot",
     "Shutter",
     "TeamImage",
+    "facing_rows",
     "footprint_m",
     "homography_image_ground",
     "project",
     "project_markers",
     "project_team",
     "rotation_camera_world",
+    "shadows",
     "undistort",
 ]

@@ -113,6 +113,7 @@ class Renderer:
             side_m=self.side_m,
             card_side_m=self.side_m * card_side(self.dictionary),
             ids=shot.ids,
+            frames=shot.frames,
             motion=shot.motion,
             shutter=self._shutter_of(shot),
             occluders=shot.occluders,
@@ -179,7 +180,9 @@ class Renderer:
 
     def _markers(self, shot: Shot) -> Callable[[float], Array]:
         """Return the maps from markers to the ground, by the time of a row."""
-        return moving_markers(shot.positions_m, shot.headings_rad, self.side_m, shot.motion)
+        return moving_markers(
+            shot.pose, shot.positions_m, shot.headings_rad, self.side_m, shot.motion, shot.frames
+        )
 
     def _draw(self, canvas: Canvas, view: View, shot: Shot) -> Canvas:
         """Draw clutter, markers and occluders over the ground, in this order."""

@@ -38,12 +38,16 @@ class Shot:
         camera: intrinsics and lens.
         pose: pose of the camera in the middle of the exposure of the middle row.
         ids: (N,) markers of the dictionary.
-        positions_m: (N, 2) marker centres on the ground.
-        headings_rad: (N,) forward directions of the markers, counter-clockwise from +x.
+        positions_m: (N, 2) marker centres on the ground; with `frames`, the reference points of their robots.
+        headings_rad: (N,) forward directions of the markers, counter-clockwise from +x; with `frames`, of
+            their robots.
         motion: velocities of camera and robots; without effect if exposure and row time are 0.
         occluders: shapes over the markers, in drawing order.
         stream: number of the camera, which has its own video stream and its own `imaging`.
         imaging: values of this camera instead of those of the renderer.
+        frames: (N, 3, 3) places of the markers on robots: columns are the forward axis, the left axis and the
+            centre in the robot's frame (forward, left, up), marker sides. Markers are drawn in their order,
+            whether or not they face the camera (`facing_rows`). None for markers flat on the ground.
     """
 
     camera: Camera
@@ -55,3 +59,4 @@ class Shot:
     occluders: Sequence[Occluder] = ()
     stream: int = 0
     imaging: Imaging = STANDARD
+    frames: Array | None = None

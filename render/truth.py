@@ -16,6 +16,7 @@ from skyherd.messages.checks import check_kind
 from skyherd.render.camera.camera import Camera, CameraPose
 from skyherd.render.camera.motion import INSTANT, STILL, Motion, Shutter
 from skyherd.render.scene.occluders import Occluder
+from skyherd.render.standing import shadows
 from skyherd.render.view import ShapeImages, View
 
 SQUARE: Array = to_points(ROBOT_FRAME_CORNERS)
@@ -70,11 +71,23 @@ def ground_markers(positions_m: Array, headings_rad: Array, side_m: float) -> Ar
 
 
 def moving_markers(
-    positions_m: npt.ArrayLike, headings_rad: npt.ArrayLike, side_m: float, motion: Motion
+    pose: CameraPose,
+    positions_m: npt.ArrayLike,
+    headings_rad: npt.ArrayLike,
+    side_m: float,
+    motion: Motion,
+    frames: Array | None = None,
 ) -> Callable[[float], Array]:
-    """Return the function from a time relative to the pose, s, to `ground_markers` (N, 3, 3) at that time."""
+    """Return the function from a time relative to the pose, s, to the markers on the ground at that time.
+
+    They are homographies (N, 3, 3): `ground_markers`, or `shadows` for markers with frames on their robots.
+    """
     positions, headings = np.asarray(positions_m, dtype=float), np.asarray(headings_rad, dtype=float)
-    return lambda time_s: ground_markers(*motion.robots_at(positions, headings, time_s), side_m)
+    if frames is None:
+        return lambda time_s: ground_markers(*motion.robots_at(positions, headings, time_s), side_m)
+    return lambda time_s: shadows(
+        motion.pose_at(pose, time_s), *motion.robots_at(positions, headings, time_s), side_m, frames
+    )
 
 
 def project_markers(
@@ -86,6 +99,7 @@ def project_markers(
     card_side_m: float,
     *,
     ids: npt.ArrayLike | None = None,
+    frames: Array | None = None,
     motion: Motion = STILL,
     shutter: Shutter = INSTANT,
     occluders: Sequence[Occluder] = (),
@@ -103,6 +117,7 @@ def project_markers(
         side_m: side of the black square.
         card_side_m: side of the white card around it.
         ids: (N,) the markers; 0, 1, … if None.
+        frames: (N, 3, 3) of markers on robots, as in `Shot`; None for markers flat on the ground.
         motion: velocities of camera and robots.
         shutter: exposure and row time.
         occluders: shapes over the markers.
@@ -115,7 +130,7 @@ def project_markers(
     check_kind("project_markers: motion", motion, Motion, "a Motion")
     check_kind("project_markers: shutter", shutter, Shutter, "a Shutter")
     view = View(camera, pose, motion, shutter)
-    markers = moving_markers(positions_m, headings_rad, side_m, motion)
+    markers = moving_markers(pose, positions_m, headings_rad, side_m, motion, frames)
     images = view.images(markers)
     card = card_side_m / side_m
     points = images.project(np.concatenate([np.zeros((1, 2)), SQUARE, SQUARE * card]))
@@ -157,7 +172,7 @@ def _shares(images: ShapeImages, grounds: Array, occluders: Sequence[Occluder], 
 
     Args:
         images: images of the M markers.
-        grounds: (M, 3, 3) similarities from marker coordinates to ground metres.
+        grounds: (M, 3, 3) homographies from marker coordinates to ground metres.
         occluders: shapes over the markers.
         side: side of the squares, in marker sides.
     """
@@ -166,6 +181,7 @@ def _shares(images: ShapeImages, grounds: Array, occluders: Sequence[Occluder], 
     pixels = images.project(points)
     seen = ((pixels >= -0.5) & (pixels <= np.array(images.camera.size_px) - 0.5)).all(axis=-1)
     on_ground = points @ grounds[:, :2, :2].transpose(0, 2, 1) + grounds[:, None, :2, 2]
+    on_ground /= points @ grounds[:, 2, :2, None] + grounds[:, 2:, 2:]
     for occluder in occluders:
         seen &= ~occluder.covers(on_ground)
     return np.asarray(seen.mean(axis=1))

@@ -322,6 +322,8 @@ def _team(scenario: Scenario, folder: Path, rng: np.random.Generator) -> _Team:
         )
     problems, later = ProblemCollector(), []
     with problems.collecting():
+        _check_faces(scenario, layout)
+    with problems.collecting():
         _check_template(ids, template, "template")
         _check_outline(scenario.template, "template")
     for where, shape in scenario.later_shapes:
@@ -410,6 +412,21 @@ def _make_layout(scenario: Scenario, ids: IntArray) -> MarkerLayout | None:
         key="robots.markers",
         dictionary_key="marker.dictionary",
     )
+
+
+def _check_faces(scenario: Scenario, layout: MarkerLayout | None) -> None:
+    """Check that markers above the ground or on sides are rendered, and lie below all cameras."""
+    if layout is None or layout.is_flat:
+        return
+    if scenario.perception != "rendered":
+        what = f"{scenario.perception!r}, but robots.markers are above the ground or on sides"
+        raise InputError("perception", what, "'rendered', or markers of height_sides 0 on top")
+    top_m = scenario.marker.side_m * float(layout.points_sides[..., 2].max())
+    if top_m >= scenario.autopilot.min_height_m:
+        what = (
+            f"markers up to {top_m:.3g} m, but autopilot.min_height_m is {scenario.autopilot.min_height_m:g}"
+        )
+        raise InputError("robots.markers", what, "markers below all cameras")
 
 
 def _check_marker(intervention: Intervention, ids: IntArray, marker_ids: IntArray, where: str) -> None:

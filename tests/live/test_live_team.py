@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from five_markers import five_markers
+from five_markers import cubes, five_markers
 from live_processes import PATIENCE_S
 from PIL import Image
 
@@ -274,15 +274,16 @@ class TestUnitProcess:
         run_unit(context, 0, address=str(images), dry_run=True)
         assert order[-3:] == ["looked", "reported", 90]
 
-    def test_unit_records_robots_instead_of_their_markers(self, tmp_path, monkeypatch) -> None:
+    @pytest.mark.parametrize("scenario", [five_markers, cubes])
+    def test_unit_records_robots_instead_of_their_markers(self, tmp_path, monkeypatch, scenario) -> None:
         """The unit's controller sees robots, of which each has five markers."""
-        image = next(run_steps(make_mission(five_markers()))).frames[0].sight.image
+        tree = scenario()
+        image = next(run_steps(make_mission(tree))).frames[0].sight.image
         images = tmp_path / "images"
         images.mkdir()
         Image.fromarray(image).save(images / "0.png")
         ended = []
         context = context_of(tmp_path / "run", lambda line: None, lambda: bool(ended))
-        tree = five_markers()
         look = UnitAtWork.look
         monkeypatch.setattr(UnitAtWork, "look", lambda *given: (look(*given), ended.append(1))[0])
         lab = context.lab.model.model_dump(mode="json")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from five_markers import five_markers
+from five_markers import cubes, five_markers
 
 from skyherd.datasets import RobotMarkerModel, load_mission, make_layout, make_mission
 from skyherd.errors import InputError
@@ -104,3 +104,44 @@ class TestWorld:
         found = (world.markers.positions_m - before) / step_s
         np.testing.assert_allclose(found, motion.robots_mps, atol=1e-3)
         assert np.ptp(np.linalg.norm(motion.robots_mps, axis=1)) > 0.1
+
+    def test_faces_of_cubes_move_with_their_robots(self) -> None:
+        from skyherd.messages import VelocityCommand
+
+        world = make_world(mission := make_mission(cubes()))
+        count, step_s = mission.ids.size, 1e-4
+        command = VelocityCommand(mission.ids, np.linspace(0.1, 0.4, count), np.linspace(-1, 1, count))
+        world.advance(command, 0.0, step_s)
+        before_m, before_rad = world.positions_m.copy(), world.headings_rad.copy()
+        world.advance(command, step_s, step_s)
+        for unit in range(3):
+            markers, motion = world.markers_facing(unit), world.motion(unit)
+            rows = np.searchsorted(mission.ids, mission.layout.robots_of(markers.ids))
+            np.testing.assert_array_equal(markers.positions_m, world.positions_m[rows])
+            mps = (world.positions_m - before_m) / step_s
+            np.testing.assert_allclose(motion.robots_mps, mps[rows], atol=1e-3)
+            radps = wrap_angle(world.headings_rad - before_rad) / step_s
+            np.testing.assert_allclose(motion.robots_radps, radps[rows], atol=1e-3)
+
+
+class TestFaces:
+    def test_faces_are_checked(self) -> None:
+        low = {"face": "left", "add_to_id": 10, "offset_sides": (0.0, 1.0), "height_sides": 0.2}
+        assert "robots.markers.1.height_sides: 0.2, so that its lower edge is below" in refused(
+            [RobotMarkerModel(), RobotMarkerModel(**low)]
+        )
+        pair = [RobotMarkerModel(**low | {"height_sides": 1, "add_to_id": add}) for add in (10, 20)]
+        assert "overlaps that of robots.markers.0" in refused(pair)
+        moved = RobotMarkerModel(**low | {"height_sides": 1, "add_to_id": 20, "offset_sides": (0.0, 1.1)})
+        assert make_layout([pair[0], moved], [0], "4X4_50", key="k", dictionary_key="d") is not None
+
+    @pytest.mark.parametrize(
+        ("key", "value", "words"),
+        [
+            ("perception", "ideal", "perception: 'ideal', but robots.markers are above the ground"),
+            ("marker", {"side_m": 2.5}, "markers up to 3.75 m, but autopilot.min_height_m is 3"),
+        ],
+    )
+    def test_missions_that_cannot_show_faces_are_refused(self, key, value, words) -> None:
+        with pytest.raises(InputError, match=words):
+            make_mission(cubes() | {key: value})

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from five_markers import five_markers
+from five_markers import cubes, five_markers
 
 from skyherd.datasets import make_mission
 from skyherd.loop import run_steps
+from skyherd.render import project
 
 HIDDEN = 1 / 3
 """Share of the time in which each marker is hidden."""
@@ -55,9 +56,10 @@ def longest_gap_s(steps) -> float:
 @pytest.mark.parametrize(
     "duration_s", [1.5, pytest.param(15.0, marks=pytest.mark.slow)], ids=lambda s: f"{s:g}s"
 )
-def test_no_robot_is_lost_while_markers_are_hidden(duration_s) -> None:
+@pytest.mark.parametrize("scenario", [five_markers, cubes])
+def test_no_robot_is_lost_while_markers_are_hidden(duration_s, scenario) -> None:
     """Tilted cameras, rendered images, and each marker hidden for a third of the time."""
-    mission = make_mission(hiding(five_markers() | {"duration_s": duration_s}, seed=2))
+    mission = make_mission(hiding(scenario() | {"duration_s": duration_s}, seed=2))
     steps = [step.without_images() for step in run_steps(mission)]
     assert longest_gap_s(steps) <= 2 * mission.scenario.step_s + 1e-9
     seen = [frame.sight for step in steps for frame in step.frames.values()]
@@ -94,3 +96,25 @@ def test_controller_gets_robots_and_never_markers() -> None:
         for frame in step.frames.values():
             assert set(frame.sight.detections.ids.tolist()) <= set(range(6))
             assert set(frame.decision.report.ids.tolist()) <= set(range(6))
+
+
+def test_cubes_with_tops_alone_are_lost_while_they_are_hidden() -> None:
+    """Negative control: the faces on the sides keep the cubes in view."""
+    tree = cubes() | {"duration_s": 3.0}
+    tree["robots"]["markers"] = tree["robots"]["markers"][:1]
+    steps = [step.without_images() for step in run_steps(make_mission(hiding(tree, seed=2)))]
+    assert 0.6 < share_seen(steps) < 0.73
+    assert longest_gap_s(steps) > 0.4
+
+
+def test_robots_of_cubes_are_where_they_stand() -> None:
+    """Errors of the reference points on the ground are within four standard deviations."""
+    mission = make_mission(cubes() | {"duration_s": 0.3})
+    for step in run_steps(mission):
+        for unit, frame in step.frames.items():
+            camera, pose = mission.scenario.units[unit].camera.make(), step.fleet.pose(unit)
+            found = frame.sight.detections
+            rows = np.searchsorted(mission.ids, found.ids)
+            truth = project(camera, pose, step.positions_m[rows])
+            stds = np.sqrt(np.diagonal(found.covariances, axis1=1, axis2=2)[:, :2])
+            assert (abs(found.centers_px - truth) < 4 * stds).all() and stds.max() < 0.2

@@ -6,7 +6,8 @@ import av
 import cv2
 import numpy as np
 import pytest
-from five_markers import five_markers
+from bags import raw, write_bag
+from five_markers import cubes, five_markers
 
 from skyherd.cli import main
 from skyherd.control import Template, fit_similarity
@@ -16,7 +17,7 @@ from skyherd.loop import run_steps
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
 from skyherd.tracking import GroundTracks, named_shape, shape_errors, track_videos
-from skyherd.vision import create_detector
+from skyherd.vision import create_detector, fuse_markers
 
 SIZE_PX = 480, 360
 """Width and height of the images."""
@@ -242,11 +243,12 @@ def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, video, tmp_p
 def test_robots_with_several_markers_have_one_track_each() -> None:
     """Tracks of the reference points agree with the true ones up to a similarity of the ground."""
     mission = make_mission(five_markers() | {"duration_s": 0.3})
-    tracks = GroundTracks("five", layout=mission.layout)
+    tracks = GroundTracks("five")
     detector = create_detector("photometric")
     steps = list(run_steps(mission))
     for number, step in enumerate(steps):
-        tracks.add(number, detector.detect(step.frames[0].sight.image, time_s=step.time_s))
+        found = detector.detect(step.frames[0].sight.image, time_s=step.time_s)
+        tracks.add(number, fuse_markers(found, mission.layout))
     assert tracks.ids.tolist() == mission.ids.tolist()
     for sighting, step in zip(tracks.sightings, steps, strict=True):
         order = np.argsort(sighting.seen.ids)
@@ -254,3 +256,20 @@ def test_robots_with_several_markers_have_one_track_each() -> None:
         similarity = fit_similarity(found, true)
         assert abs(similarity(found) - true).max() < 0.02 * mission.scenario.marker.side_m
         assert similarity.scale == pytest.approx(mission.scenario.marker.side_m, rel=0.01)
+
+
+def test_cubes_of_a_scenario_are_tracked_on_the_ground(tmp_path) -> None:
+    """The images are in a bag, which loses nothing."""
+    mission = make_mission(cubes() | {"duration_s": 0.2})
+    steps = list(run_steps(mission))
+    messages = [("/camera", raw(step.frames[0].sight.image, "mono8", step.time_s)) for step in steps]
+    bag = write_bag(tmp_path / "bag", messages)
+    side_m = mission.scenario.marker.side_m
+    (tracks,) = track_videos([bag], tmp_path / "out", layout=mission.layout, side_m=side_m)
+    assert tracks.ids.tolist() == mission.ids.tolist()
+    for sighting, step in zip(tracks.sightings, steps, strict=True):
+        order = np.argsort(sighting.seen.ids)
+        found, true = to_complex(sighting.positions[order]), to_complex(step.positions_m)
+        similarity = fit_similarity(found, true)
+        assert abs(similarity(found) - true).max() < 0.05 * side_m
+        assert similarity.scale == pytest.approx(1.0, rel=0.02)

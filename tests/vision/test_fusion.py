@@ -115,7 +115,9 @@ class TestExactCorners:
     def test_wrong_layout_is_off_by_its_error(self) -> None:
         """Negative control: offsets that are a tenth of a side wrong move the robots by as much."""
         scene = Scene(np.random.default_rng(0), 1)
-        wrong = MarkerLayout(LAYOUT.ids, LAYOUT.robot_ids, LAYOUT.offsets_sides + 0.1, LAYOUT.yaws_rad)
+        off = np.zeros((3, 3))
+        off[0, 2] = 0.1
+        wrong = MarkerLayout(LAYOUT.ids, LAYOUT.robot_ids, LAYOUT.frames + off)
         off = fuse_markers(scene.exact(), wrong).centers_px - scene.robots.centers_px
         lengths = np.linalg.norm(off, axis=1) / scene.robots.sides_px
         np.testing.assert_allclose(lengths, 0.1, rtol=0.3)

@@ -91,7 +91,8 @@ def _check_camera(lab: "Lab", unit: int, address: str) -> bool:
             detector = create_detector(
                 lab.model.cameras[unit].detector, dictionary=lab.model.markers.dictionary
             )
-            found = lab.robots_of(detector.detect(frame.image, time_s=frame.captured_s, unit_id=unit))
+            found = detector.detect(frame.image, time_s=frame.captured_s, unit_id=unit)
+            found = lab.robots_of(found, frame.image)
             robots = found.ids[among(found.ids, lab.ids)].tolist()
             height, width = frame.image.shape
             say(f"camera {unit}: {width}x{height}, robots {robots or 'none'}, stamped by {frame.stamped_by}")

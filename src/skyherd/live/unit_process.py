@@ -119,7 +119,7 @@ class UnitAtWork:
         begun_s = clock()
         detections = self.detector.detect(frame.image, time_s=frame.captured_s, unit_id=self.core.unit_id)
         trouble = trouble or self._mirrored.look(frame, detections)
-        detections = self.context.lab.robots_of(detections)
+        detections = self.context.lab.robots_of(detections, frame.image)
         found_s = clock()
         news, view = (None, None) if trouble else self._decide(frame, detections, begun_s, found_s)
         self.frame_log.show(frame.image, detections, None if news is None else news.decision, view)

@@ -21,10 +21,11 @@ class FusedMarkers(Perception):
     Args:
         perception: perception of the markers.
         layout: the markers on the robots.
+        dictionary: dictionary of the markers.
     """
 
-    def __init__(self, perception: Perception, layout: MarkerLayout) -> None:
-        self._perception, self._layout = perception, layout
+    def __init__(self, perception: Perception, layout: MarkerLayout, dictionary: str) -> None:
+        self._perception, self._layout, self._dictionary = perception, layout, dictionary
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> Iterable[Sight]:
         """Return the output of each unit's camera; see `Perception.look`."""
@@ -32,7 +33,7 @@ class FusedMarkers(Perception):
 
     def _fused(self, sights: Iterable[Sight]) -> Iterator[Sight]:
         for sight in sights:
-            detections = fuse_markers(sight.detections, self._layout)
+            detections = fuse_markers(sight.detections, self._layout, sight.image, self._dictionary)
             found_ids = np.unique(self._layout.robots_of(sight.found_ids))
             yield replace(
                 sight,
@@ -44,4 +45,6 @@ class FusedMarkers(Perception):
 
 def with_fused_markers(perception: Perception, mission: Mission) -> Perception:
     """Return a perception of the robots of a mission; the same one if each has one marker."""
-    return perception if mission.layout is None else FusedMarkers(perception, mission.layout)
+    if mission.layout is None:
+        return perception
+    return FusedMarkers(perception, mission.layout, mission.scenario.marker.dictionary)

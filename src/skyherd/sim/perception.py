@@ -7,14 +7,14 @@ import numpy as np
 
 from skyherd.datasets import Mission
 from skyherd.errors import InputError
-from skyherd.geometry import ROBOT_FRAME_CORNERS, BoolArray, Image, to_points
+from skyherd.geometry import ROBOT_FRAME_CORNERS, BoolArray, Image, apply_homography, to_points
 from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections, among
 from skyherd.random_streams import RunStream, generator
-from skyherd.render import FrameTruth, Motion, Quad, Renderer, Shot, Shutter
+from skyherd.render import FrameTruth, Motion, Quad, Renderer, Shot, Shutter, shadows
 from skyherd.sim.projected_perception import ProjectedPerception
 from skyherd.sim.sight import Perception, Sight
-from skyherd.sim.world import World
+from skyherd.sim.world import Markers, World
 from skyherd.vision import create_detector, explain_mirrored, load_accuracy
 
 PLAIN_TO_SEE = 0.9
@@ -103,30 +103,35 @@ class RenderedPerception(Perception):
 
     def shots(self, world: World, units: Sequence[int], time_s: float) -> Shots:
         """Return the content of the given units' images now: all data of the world that `take` needs."""
-        markers = world.markers
-        occluders = [*self._occluders, *self._covers(world)]
-        shots = [
-            Shot(
+        shots = []
+        for unit in units:
+            markers = world.markers_facing(unit)
+            shot = Shot(
                 world.cameras[unit],
                 world.camera_pose(unit),
                 markers.ids,
                 markers.positions_m,
                 markers.headings_rad,
                 motion=world.motion(unit) if self._moves or world.imaging[unit].exposure_s else Motion(),
-                occluders=occluders,
+                occluders=[*self._occluders, *self._covers(world, unit, markers)],
                 stream=unit,
                 imaging=world.imaging[unit],
+                frames=markers.frames,
             )
-            for unit in units
-        ]
+            shots.append(shot)
         return Shots(time_s, shots)
 
-    def _covers(self, world: World) -> list[Quad]:
+    def _covers(self, world: World, unit: int, markers: Markers) -> list[Quad]:
         """Return cards of one grey level, each over the whole card of a covered marker."""
-        markers, card_side_m = world.markers, self.side_m * card_side(self.dictionary)
-        covered = among(markers.ids, world.covered_ids)
-        turned = card_side_m * ROBOT_FRAME_CORNERS * np.exp(1j * markers.headings_rad[covered])[:, None]
-        corners_m = to_points(turned) + markers.positions_m[covered][:, None]
+        covered = markers.take(np.flatnonzero(among(markers.ids, world.covered_ids)))
+        card = card_side(self.dictionary) * ROBOT_FRAME_CORNERS
+        if covered.frames is None:
+            turned = self.side_m * card * np.exp(1j * covered.headings_rad)[:, None]
+            corners_m = to_points(turned) + covered.positions_m[:, None]
+        else:
+            pose = world.camera_pose(unit)
+            grounds = shadows(pose, covered.positions_m, covered.headings_rad, self.side_m, covered.frames)
+            corners_m = np.array([apply_homography(ground, to_points(card)) for ground in grounds])
         return [Quad(corners, COVER_LEVEL) for corners in corners_m]
 
     def take(self, shot: Shot, time_s: float) -> Sight:

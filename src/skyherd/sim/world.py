@@ -14,7 +14,7 @@ import numpy.typing as npt
 from skyherd.geometry import Array, IntArray, to_complex, to_points, wrap_angle
 from skyherd.markers.layout import MarkerLayout, Place
 from skyherd.messages import FlightCommand, VelocityCommand
-from skyherd.render import Camera, CameraPose, Imaging, Motion
+from skyherd.render import Camera, CameraPose, Imaging, Motion, facing_rows
 from skyherd.sim.drive import Drive
 from skyherd.sim.sway import Sway
 
@@ -58,17 +58,24 @@ def move_bodies(
 
 @dataclass(frozen=True)
 class Markers:
-    """M markers on the ground.
+    """M markers.
 
     Attributes:
         ids: (M,) ids.
-        positions_m: (M, 2) centres.
-        headings_rad: (M,) headings.
+        positions_m: (M, 2) centres on the ground; with `frames`, reference points of their robots.
+        headings_rad: (M,) headings; with `frames`, of their robots.
+        frames: (M, 3, 3) places on the robots, as in `skyherd.render.Shot`; None for markers on the ground.
     """
 
     ids: IntArray
     positions_m: Array
     headings_rad: Array
+    frames: Array | None = None
+
+    def take(self, rows: IntArray) -> "Markers":
+        """Return the markers of some rows."""
+        frames = None if self.frames is None else self.frames[rows]
+        return Markers(self.ids[rows], self.positions_m[rows], self.headings_rad[rows], frames)
 
 
 @dataclass(frozen=True)
@@ -221,7 +228,8 @@ class World:
         alone = MarkerLayout.make(robots.ids, [Place(0, (0.0, 0.0))])
         self._layout = alone if layout is None else layout
         self._rows = np.searchsorted(robots.ids, self._layout.robot_ids)
-        self._offsets_m = side_m * self._layout.offsets_sides
+        self._side_m, self._is_flat = side_m, self._layout.is_flat
+        self._offsets_m = side_m * self._layout.offsets_sides * self._is_flat
         self._units, self._radio_range_m = list(units), radio_range_m
         self._time_s = 0.0
         self._tilts_rad = np.array([unit.tilt_rad for unit in units])
@@ -241,16 +249,36 @@ class World:
 
     @property
     def markers(self) -> Markers:
-        """All markers on the ground: first those of the robots, then those of the obstacles."""
+        """All markers: first those of the robots, then those of the obstacles."""
         obstacles, headings_rad = self._obstacles, self.headings_rad[self._rows]
+        ids = np.concatenate([self._layout.ids, obstacles.ids])
+        positions_m = np.concatenate([self.positions_m[self._rows] + self._arms_m(), obstacles.positions_m])
+        if self._is_flat:
+            headings_rad = headings_rad + self._layout.yaws_rad
+            return Markers(ids, positions_m, np.concatenate([headings_rad, obstacles.headings_rad]))
+        on_ground = np.tile(np.diag([1.0, 1.0, 0.0]), (obstacles.ids.size, 1, 1))
         return Markers(
-            np.concatenate([self._layout.ids, obstacles.ids]),
-            np.concatenate([self.positions_m[self._rows] + self._arms_m(), obstacles.positions_m]),
-            np.concatenate([headings_rad + self._layout.yaws_rad, obstacles.headings_rad]),
+            ids,
+            positions_m,
+            np.concatenate([headings_rad, obstacles.headings_rad]),
+            np.concatenate([self._layout.frames, on_ground]),
         )
 
+    def markers_facing(self, unit: int) -> Markers:
+        """Return the markers that face one unit's camera, in the order in which they are drawn."""
+        rows = self._rows_facing(unit)
+        return self.markers if rows is None else self.markers.take(rows)
+
+    def _rows_facing(self, unit: int) -> IntArray | None:
+        """Return the rows of the markers that face one unit's camera; None for all, on the ground."""
+        markers = self.markers
+        if markers.frames is None:
+            return None
+        pose = self.camera_pose(unit)
+        return facing_rows(pose, markers.positions_m, markers.headings_rad, self._side_m, markers.frames)
+
     def _arms_m(self) -> Array:
-        """Return the vectors (M, 2) on the ground from the robots to their markers."""
+        """Return the vectors (M, 2) on the ground from the robots to the positions of their markers."""
         return to_points(self._offsets_m * np.exp(1j * self.headings_rad[self._rows]))
 
     def place_robot(self, robot: int, position_m: npt.ArrayLike, heading_rad: float) -> None:
@@ -286,7 +314,7 @@ class World:
         return self.fleet.pose(unit)
 
     def motion(self, unit: int) -> Motion:
-        """Return the velocities of one unit's camera and of all markers, for motion blur and rolling shutter.
+        """Return the velocities of one unit's camera and of `markers_facing` it, for motion blur and shutter.
 
         They are means over the last step, and zero before the first step. The rates of the sway are
         instantaneous.
@@ -300,11 +328,14 @@ class World:
         marker_mps = mps[self._rows] + turns_radps[:, None] * np.stack([-arms_m[:, 1], arms_m[:, 0]], axis=1)
         sway = self._units[unit].sway
         tilt_u, tilt_v = (0.0, 0.0) if sway is None else sway.rates_at(self._time_s).tolist()
+        marker_mps, turns_radps = np.pad(marker_mps, ((0, still), (0, 0))), np.pad(turns_radps, (0, still))
+        if (facing := self._rows_facing(unit)) is not None:
+            marker_mps, turns_radps = marker_mps[facing], turns_radps[facing]
         return Motion(
             camera_mps=(x, y, climb),
             yaw_rate_radps=yaw_rate,
-            robots_mps=np.pad(marker_mps, ((0, still), (0, 0))),
-            robots_radps=np.pad(turns_radps, (0, still)),
+            robots_mps=marker_mps,
+            robots_radps=turns_radps,
             tilt_rates_radps=(tilt_u, tilt_v),
         )
 

@@ -14,10 +14,8 @@ import numpy as np
 from skyherd.analysis.ground import shape_residual
 from skyherd.control import Rectifier, Template
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
-from skyherd.markers.layout import MarkerLayout
 from skyherd.messages import Detections
 from skyherd.poses import ground_covariances, ground_positions
-from skyherd.vision import fuse_markers
 
 MOVE_STEPS, MIN_MOVE = 20, 1e-4
 """Steps of the search for a camera's motion, and the least distance in its weights, marker sides. Chosen: far
@@ -53,7 +51,6 @@ class GroundTracks:
         name: name of the recording.
         members: the robots; None for all markers. Other markers only help to rectify the ground.
         side_m: side of the markers, m; positions are then in metres. None for marker sides as the unit.
-        layout: markers on robots, which are tracked instead of these; None for one marker on each.
         sightings: one for each image, in order.
         strangers: detected markers that are not members.
     """
@@ -61,15 +58,12 @@ class GroundTracks:
     name: str
     members: frozenset[int] | None = None
     side_m: float | None = None
-    layout: MarkerLayout | None = None
     sightings: list[Sighting] = field(default_factory=list)
     strangers: set[int] = field(default_factory=set)
     _rectifier: Rectifier = field(default_factory=Rectifier)
 
     def add(self, index: int, found: Detections) -> None:
         """Add the markers of the next image, without ids that occur twice in it."""
-        if self.layout is not None:
-            found = fuse_markers(found, self.layout)
         seen = found.unambiguous()
         flat = self._rectifier.rectify(seen)
         if self.members is not None:

@@ -1,7 +1,7 @@
 """Tracking of videos: a table of tracks, a table of shape errors, and a figure."""
 
 import csv
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,16 @@ from skyherd.files.atomic import whole_file, write_whole
 from skyherd.files.image_streams import is_stream, open_stream, read_stream
 from skyherd.files.output_folder import OutputFolder
 from skyherd.files.video_reader import Clip
+from skyherd.geometry import Image
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.markers.layout import MarkerLayout
+from skyherd.messages import Detections
 from skyherd.poses import check_side
 from skyherd.text import table_cell
 from skyherd.tracking.figure import draw_tracks
 from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors, Sighting, shape_errors
 from skyherd.tracking.shapes import ShapeSource
-from skyherd.vision import DEFAULT_DICTIONARY, Detector, create_detector
+from skyherd.vision import DEFAULT_DICTIONARY, Detector, create_detector, fuse_markers
 
 VERB = "track"
 """Verb in the record of output folders for the files made here."""
@@ -102,11 +104,12 @@ def track_videos(
     create_detector(detector, **settings)
     names = [TRACKS, FIGURE, *([SHAPE] if shape else [])]
     with OutputFolder(folder, VERB, names, force=force, inputs=videos):
+        fuse = _fuser(layout, settings)
         robots = None if members is None else frozenset(members)
         recordings = [
-            _follow(tracks, open_stream(video, topic), create_detector(detector, **settings), progress)
+            _follow(tracks, open_stream(video, topic), create_detector(detector, **settings), fuse, progress)
             for video in videos
-            for tracks in [GroundTracks(video.name, robots, side_m, layout)]
+            for tracks in [GroundTracks(video.name, robots, side_m)]
         ]
         with _table(folder / TRACKS, _columns(side_m)) as table:
             table.writerows(row for tracks in recordings for row in _track_rows(tracks))
@@ -127,10 +130,26 @@ def _columns(side_m: float | None) -> list[str]:
     return [*(METRE_COLUMNS.get(name, name) for name in TRACK_COLUMNS), *METRE_STDS]
 
 
-def _follow(tracks: GroundTracks, clip: Clip, detector: Detector, progress: Progress) -> GroundTracks:
+def _fuser(
+    layout: MarkerLayout | None, settings: dict[str, Any]
+) -> Callable[[Detections, Image], Detections]:
+    """Return the function from the markers in an image to the robots."""
+    if layout is None:
+        return lambda found, _: found
+    return lambda found, image: fuse_markers(found, layout, image, **settings)
+
+
+def _follow(
+    tracks: GroundTracks,
+    clip: Clip,
+    detector: Detector,
+    fuse: Callable[[Detections, Image], Detections],
+    progress: Progress,
+) -> GroundTracks:
     """Add all images of a recording to tracks, and return the tracks."""
     for frame in read_stream(clip):
-        tracks.add(frame.index, detector.detect(frame.image, time_s=frame.time_s))
+        found = detector.detect(frame.image, time_s=frame.time_s)
+        tracks.add(frame.index, fuse(found, frame.image))
         done = frame.index + 1
         progress.update(clip.path.name, done, max(clip.count, done) if clip.count else None)
     return tracks

@@ -26,6 +26,7 @@ from skyherd.control import (
 )
 from skyherd.datasets import RolesModel
 from skyherd.errors import InputError
+from skyherd.geometry import Image
 from skyherd.live.drivers.driver import HOLD_S, RATE_HZ
 from skyherd.live.drivers.limits import SpeedLimits
 from skyherd.live.lab.checks import make_lab_layout
@@ -67,9 +68,11 @@ class Lab:
         """The markers on the robots; None if each has one, at its reference point."""
         return make_lab_layout(self.model)
 
-    def robots_of(self, found: Detections) -> Detections:
-        """Return the robots in an image, from the detections of their markers."""
-        return found if self.layout is None else fuse_markers(found, self.layout)
+    def robots_of(self, found: Detections, image: Image) -> Detections:
+        """Return the robots in an image (height, width), from the detections of their markers."""
+        if self.layout is None:
+            return found
+        return fuse_markers(found, self.layout, image, self.model.markers.dictionary)
 
     def robot(self, robot_id: int) -> LabRobot:
         """Return the entry of the robot with a marker id.

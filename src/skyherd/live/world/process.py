@@ -136,7 +136,7 @@ class WorldProcess:
             stream.close()
 
     def _picture(self, unit: int) -> Image:
-        world, markers = self._world, self._world.markers
+        world, markers = self._world, self._world.markers_facing(unit)
         return self._renderer.render(
             Shot(
                 world.cameras[unit],
@@ -147,6 +147,7 @@ class WorldProcess:
                 motion=world.motion(unit),
                 occluders=self._occluders,
                 stream=unit,
+                frames=markers.frames,
             )
         )
 

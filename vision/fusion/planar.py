@@ -1,7 +1,7 @@
-"""Fusion of several markers on a robot into one detection of the robot.
+"""Fusion of the markers of a robot that lie in one plane parallel to the ground.
 
-The markers of a robot lie in one plane, at known places (`skyherd.markers.layout`). One homography G maps
-this plane to the image. A first G is that of the marker nearest to the robot's reference point. It is then
+The places of the markers on the robot are known (`skyherd.markers.layout`). One homography G maps their plane
+to the image. A first G is that of the marker nearest to the robot's reference point. It is then
 corrected by a homography of the robot's plane near the identity,
 
     z ↦ z + d + (s + iφ) z + a z̄ - w (b · w),    w = z - z_0,
@@ -17,19 +17,16 @@ J_i being the derivative of G at z_i. Headings and sizes do not change with a an
 plane to all N markers of an image, so that its errors are in G and in all headings alike. Errors of the
 plane have the variances `ANISOTROPY_SHARE / N` and `PERSPECTIVE_SHARE / N` of a heading's. Generalized least
 squares over the markers, by their covariances, gives the eight unknowns with their covariance.
-
-A robot is detected if one of its markers is. Markers that do not agree on the robot's place are separate
-detections of the robot, so that its id is repeated and counts as ambiguous.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.geometry import ROBOT_FRAME_CORNERS, Array, ComplexArray, IntArray, to_points, wrap_angle
+from skyherd.geometry import Array, ComplexArray, IntArray, to_points, wrap_angle
 from skyherd.markers.layout import MarkerLayout
 from skyherd.messages import Detections, Quality
-from skyherd.messages.checks import check_kind
+from skyherd.vision.fusion.robots import apply, derivatives, detections_of_robots, group_by_place
 
 SIZE_SHARE, ANISOTROPY_SHARE, PERSPECTIVE_SHARE = 0.35, 0.9, 0.025
 """Variances of a marker's log size, and of the plane's anisotropy and perspective (1/side²) times the number
@@ -39,10 +36,6 @@ of markers, over the variance of a heading, rad². Measured on 25 rendered image
 MAX_PLANE_SHARE = 0.5
 """Maximum share of a heading's variance that is taken as the plane's. Chosen: it keeps the heading's own
 variance positive with few markers."""
-
-MAX_APART_SIDES = 0.5
-"""Maximum distance between the robot's places by two of its markers, sides. Chosen: far above errors, and
-below the distance of two robots."""
 
 UNKNOWNS = 8
 """Unknowns of a homography of the plane: d (2), φ, s, a (2) and b (2), in this order."""
@@ -56,67 +49,35 @@ class _RobotImage:
     covariance: Array
 
 
-def fuse_markers(found: Detections, layout: MarkerLayout) -> Detections:
-    """Return the robots in an image, from the detections of their markers.
-
-    Centre, heading, side and corners are those of a marker of side 1 at the robot's reference point.
-    Covariances are zero for robots of which all markers have none. The quality is the least of the markers'.
-    Markers that are on no robot stay as they are, after the robots.
+def fuse_planar_markers(found: Detections, layout: MarkerLayout) -> Detections:
+    """Return the robots in an image, from the detections of their markers; see `fuse_markers`.
 
     Args:
         found: the markers in an image.
-        layout: the markers on the robots.
+        layout: the markers on the robots, which is flat.
     """
-    check_kind("fuse_markers: found", found, Detections, "Detections")
-    check_kind("fuse_markers: layout", layout, MarkerLayout, "a MarkerLayout")
-    rows = np.array([layout.row_of.get(marker, -1) for marker in found.ids.tolist()], dtype=np.int64)
-    on_robot = np.flatnonzero(rows >= 0)
-    others = found[np.flatnonzero(rows < 0)]
-    robots = [
-        (robot, members)
-        for robot in np.unique(layout.robot_ids[rows[on_robot]]).tolist()
-        for members in _agreeing(found, layout, rows, on_robot[layout.robot_ids[rows[on_robot]] == robot])
-    ]
+    rows = layout.rows_of(found.ids)
+    others, on_robots = found[np.flatnonzero(rows < 0)], found[np.flatnonzero(rows >= 0)]
+    rows = rows[rows >= 0]
+    robots = layout.robot_ids[rows]
+    places = np.array(
+        [
+            apply(_fit(layout.corners_sides[row], corners), np.zeros(1))[0]
+            for row, corners in zip(rows, on_robots.corners_px, strict=True)
+        ]
+    )
+    groups = group_by_place(robots, on_robots.ids, places, on_robots.sides_px)
     count = max(1, int((found.qualities == Quality.PHOTOMETRIC).sum()))
     plane = np.repeat([ANISOTROPY_SHARE, PERSPECTIVE_SHARE], 2) / count
-    images = [_fuse(found[members], layout, rows[members], plane) for _, members in robots]
-    corners = np.array([_apply(image.homography, ROBOT_FRAME_CORNERS) for image in images])
-    centers = np.array([_apply(image.homography, np.zeros(1)) for image in images])
-    slopes = np.array([_derivatives(image.homography, np.zeros(1))[0] for image in images]).reshape(-1, 2, 2)
-    qualities = np.array([found.qualities[members].min() for _, members in robots], dtype=np.int64)
-    count = len(robots)
-    return Detections(
-        unit_id=found.unit_id,
-        time_s=found.time_s,
-        image_size_px=found.image_size_px,
-        ids=np.concatenate([np.array([robot for robot, _ in robots], dtype=np.int64), others.ids]),
-        centers_px=np.concatenate([to_points(centers.reshape(count)), others.centers_px]),
-        headings_rad=np.concatenate([np.arctan2(slopes[:, 1, 0], slopes[:, 0, 0]), others.headings_rad]),
-        sides_px=np.concatenate([np.sqrt(np.abs(np.linalg.det(slopes))), others.sides_px]),
-        corners_px=np.concatenate([to_points(corners.reshape(count, 4)), others.corners_px]),
-        covariances=np.concatenate(
-            [np.array([image.covariance for image in images]).reshape(-1, 3, 3), others.covariances]
-        ),
-        qualities=np.concatenate([qualities, others.qualities]),
+    images = [_fuse(on_robots[members], layout, rows[members], plane) for members in groups]
+    return detections_of_robots(
+        on_robots,
+        groups,
+        np.array([robots[members[0]] for members in groups], dtype=np.int64),
+        np.array([image.homography for image in images]),
+        np.array([image.covariance for image in images]),
+        others,
     )
-
-
-def _agreeing(found: Detections, layout: MarkerLayout, rows: IntArray, members: IntArray) -> list[IntArray]:
-    """Return groups of a robot's detections (K,) that agree on its place, with each marker once."""
-    groups: list[list[int]] = []
-    places: list[complex] = []
-    for member in members.tolist():
-        homography = _fit(layout.corners_sides[rows[member]], found.corners_px[member])
-        place = complex(_apply(homography, np.zeros(1))[0])
-        reach_px = MAX_APART_SIDES * found.sides_px[member]
-        for group, other in zip(groups, places, strict=True):
-            if abs(place - other) <= reach_px and found.ids[member] not in found.ids[group]:
-                group.append(member)
-                break
-        else:
-            groups.append([member])
-            places.append(place)
-    return [np.array(group) for group in groups]
 
 
 def _fuse(seen: Detections, layout: MarkerLayout, rows: IntArray, plane: Array) -> _RobotImage:
@@ -140,7 +101,7 @@ def _fuse(seen: Detections, layout: MarkerLayout, rows: IntArray, plane: Array) 
     homography = start @ _homography_of(state, middle)
     origin = np.zeros(1, dtype=complex)
     by_state = np.zeros((3, UNKNOWNS))
-    by_state[:2] = _derivatives(homography, origin)[0] @ _moves(origin, middle)[0]
+    by_state[:2] = derivatives(homography, origin)[0] @ _moves(origin, middle)[0]
     # The direction of the image of 1 turns with φ, with a, and with the perspective about the middle.
     by_state[2, 2], by_state[2, 5] = 1.0, 1.0
     by_state[2, 6] = middle.imag
@@ -153,17 +114,17 @@ def _correction(
 ) -> tuple[Array, Array]:
     """Return the unknowns (8,) by which a homography is corrected, and their covariance (8, 8)."""
     offsets, yaws_rad = layout.offsets_sides[rows], layout.yaws_rad[rows]
-    slopes, turns = _derivatives(start, offsets), _turns(start, offsets, yaws_rad)
+    slopes, turns = derivatives(start, offsets), _turns(start, offsets, yaws_rad)
     own = np.array(
         [
-            _derivatives(_fit(corners, points), offset[None])[0]
+            derivatives(_fit(corners, points), offset[None])[0]
             for corners, points, offset in zip(
                 layout.corners_sides[rows], seen.corners_px, offsets, strict=True
             )
         ]
     )
     residuals = np.zeros((len(rows), 4))
-    residuals[:, :2] = seen.centers_px - to_points(_apply(start, offsets))
+    residuals[:, :2] = seen.centers_px - to_points(apply(start, offsets))
     residuals[:, 2] = wrap_angle(seen.headings_rad - np.angle(_directions(slopes, np.exp(1j * yaws_rad))))
     residuals[:, 3] = np.log(np.abs(np.linalg.det(own) / np.linalg.det(slopes))) / 2
     design = np.zeros((len(rows), 4, UNKNOWNS))
@@ -229,24 +190,6 @@ def _normalizer(points: Array) -> Array:
     return np.asarray(shifted / spread)
 
 
-def _apply(homography: Array, points: ComplexArray | Array) -> ComplexArray:
-    """Return the images (K,) of plane points (K,), `u + iv`."""
-    mapped = _homogeneous(points) @ homography.T
-    return np.asarray((mapped[:, 0] + 1j * mapped[:, 1]) / mapped[:, 2])
-
-
-def _homogeneous(points: ComplexArray | Array) -> Array:
-    return np.stack([points.real, points.imag, np.ones(len(points))], axis=1)
-
-
-def _derivatives(homography: Array, points: ComplexArray | Array) -> Array:
-    """Return the derivatives (K, 2, 2) of a homography at plane points (K,)."""
-    mapped = _homogeneous(points) @ homography.T
-    depth = mapped[:, 2, None, None]
-    pixels = mapped[:, :2, None] / depth
-    return np.asarray((homography[:2, :2] - pixels * homography[2, :2]) / depth)
-
-
 def _directions(slopes: Array, directions: ComplexArray) -> ComplexArray:
     """Return the images (K,) of plane directions (K,) by derivatives (K, 2, 2)."""
     mapped = (slopes @ to_points(directions)[:, :, None])[:, :, 0]
@@ -255,6 +198,6 @@ def _directions(slopes: Array, directions: ComplexArray) -> ComplexArray:
 
 def _turns(homography: Array, points: ComplexArray | Array, yaws_rad: Array) -> Array:
     """Return the derivatives (K,) of image directions by directions in the plane."""
-    slopes, ahead = _derivatives(homography, points), np.exp(1j * yaws_rad)
+    slopes, ahead = derivatives(homography, points), np.exp(1j * yaws_rad)
     a, b = _directions(slopes, ahead), _directions(slopes, 1j * ahead)
     return np.asarray((a.conj() * b).imag / np.abs(a) ** 2)

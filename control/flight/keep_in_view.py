@@ -157,6 +157,7 @@ class KeepInView(FlightLaw):
             self._side_px = float(np.sort(seen.sides_px)[len(seen) // 2])
             self.ceiling.look(seen, self._side_px)
         command = self._follow(seen, task, reports)
+        command = replace(command, lateral_mps=command.lateral_mps + task.drift_mps)
         if task.widen:
             more = min(self.desired_radius / 2, self._room)
             command = replace(

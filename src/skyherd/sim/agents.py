@@ -18,7 +18,7 @@ from skyherd.geometry import IntArray
 from skyherd.messages import Detections, UnitReport
 from skyherd.sim.delays import min_report_delay_s
 from skyherd.sim.physics import read_unit_clock
-from skyherd.sim.robot_teams import make_camera_rule
+from skyherd.sim.robot_teams import make_camera_rule, make_lead_rule
 
 
 def make_controller(mission: Mission, unit: int) -> AerialController:
@@ -37,6 +37,7 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
         bodies=make_body_rule(scenario.avoidance, scenario.robots.body_radius_sides, scenario.obstacles),
         clock=TeamClock(min_report_delay_s(scenario)) if scenario.clocks_differ else None,
         camera=make_camera_rule(scenario) if scenario.control.camera_check else None,
+        lead=make_lead_rule(scenario, unit),
     )
 
 

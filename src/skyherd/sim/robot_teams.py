@@ -11,6 +11,7 @@ from skyherd.control import (
     GoalFollowers,
     GoalInboxes,
     LatencyCompensation,
+    LeadRule,
     MarkerGains,
     NeighborMemory,
     PixelGains,
@@ -167,6 +168,21 @@ def make_camera_rule(scenario: Scenario) -> CameraRule | None:
         max_speed_mps=scenario.robots.max_speed_mps,
         lag_s=max_message_delay_s(scenario) + slowest_s + step_s + drive.delay_s + brakes_s / 2,
         avoidance=make_avoidance(scenario) if scenario.avoidance.on else None,
+    )
+
+
+def make_lead_rule(scenario: Scenario, unit: int) -> LeadRule | None:
+    """Return the response of a scenario's robots by which a unit leads a moving shape; None if it rests."""
+    if not scenario.template.motion:
+        return None
+    control, model = scenario.control, scenario.units[unit]
+    age_s = whole_steps(model.latency_s + scenario.network.delay_s / 2, scenario.step_s)
+    age_s += 1 / (2 * model.frame_rate_hz) - scenario.step_s / 2 + scenario.robots.drive.delay_s
+    return LeadRule(
+        scenario.marker.side_m,
+        control.k,
+        turn_lag_s=0.0 if scenario.robots.drive.axis_offset_m else 1 / control.k_omega,
+        age_s=age_s if control.latency_compensation else 0.0,
     )
 
 

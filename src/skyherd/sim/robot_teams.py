@@ -231,6 +231,7 @@ def make_avoidance_rule(
         superseded_age_s=timing.superseded_age_s,
         step_s=timing.step_s,
         lag_s=lag_s,
+        brakes_s=brakes_s,
         overshoot=drive.gain_error + SLIP_DEVIATIONS * drive.slip,
         creep_mps=drive.wheel_step_mps / 2,
         turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * wheels.max_turn_radps,

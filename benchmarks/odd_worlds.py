@@ -299,7 +299,7 @@ def run_world(
                 had_way_out[robot] = has_way_out(
                     robot, step.positions_m, extra_m, extra_mps, touch_m=2 * radius_m
                 )
-            avoidable += sum(body < 0 and had_way_out[robot] for robot, body in now - touching)
+            avoidable += sum(body < 0 and bool(had_way_out[robot]) for robot, body in now - touching)
         contacts += len(now - touching)
         touching, gap_m = now, min(gap_m, float(gaps_m.min()))
         suspects = [unit for unit, frame in step.frames.items() if frame.decision.suspicion]

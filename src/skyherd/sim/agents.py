@@ -25,10 +25,12 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
     """Make a controller for one unit of a mission, without any memory."""
     scenario = mission.scenario
     slowest_s = max(model.latency_s + REPORTS_MISSED / model.frame_rate_hz for model in scenario.units)
+    range_m = scenario.network.range_m
+    radio_range_sides = None if range_m is None else range_m / scenario.marker.side_m
     return AerialController(
         mission.schedule,
         make_selection(scenario.selection),
-        make_flight(scenario.units[unit].flight, mission.template),
+        make_flight(scenario.units[unit].flight, mission.template, radio_range_sides),
         rectifier=Rectifier() if scenario.control.rectify else None,
         nearest=scenario.control.neighbors,
         report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),

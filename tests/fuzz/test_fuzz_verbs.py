@@ -26,6 +26,10 @@ VERBS = {
         {"": TEXTS, "--seed": NUMERALS, "--set": TEXTS, "--perception": TEXTS, "--out": TEXTS},
         ("--force", "--no-video", "--record-images"),
     ),
+    ("play",): (
+        {"": TEXTS, "--seed": NUMERALS, "--set": TEXTS, "--perception": TEXTS, "--out": TEXTS,
+         "--host": TEXTS, "--port": NUMERALS}, ()
+    ),
     ("report",): ({"": TEXTS}, ()),
     ("topology",): ({"": TEXTS, "--out": TEXTS}, ("--force",)),
     ("detect",): (

@@ -1,0 +1,239 @@
+"""Access to the page: tokens, hosts and origins, and messages that are acted on."""
+
+import asyncio
+import http.client
+import random
+import socket
+from contextlib import closing
+from dataclasses import replace
+
+import msgspec
+import pytest
+import viser
+import websockets
+
+from skyherd.errors import InputError
+from skyherd.play.access import Access, bind
+
+ACCESS = Access("127.0.0.1", 8440, "secret")
+COOKIE = "skyherd_play_8440=secret"
+
+
+def headers(host="127.0.0.1:8440", origin="", cookie=COOKIE):
+    return {"Host": host, "Origin": origin, "Cookie": cookie}
+
+
+class TestRules:
+    @pytest.mark.parametrize("host", ["127.0.0.1:8440", "localhost:8440", "[::1]:8440"])
+    def test_page_of_this_computer_is_allowed(self, host):
+        assert ACCESS.refusal(headers(host), is_socket=False) is None
+        assert ACCESS.refusal(headers(host, f"http://{host}"), is_socket=True) is None
+
+    @pytest.mark.parametrize(
+        "host",
+        [
+            "",
+            "127.0.0.1",
+            "127.0.0.1:80",
+            "evil.example:8440",
+            "127.0.0.1.evil.example:8440",
+            "192.168.1.7:8440",
+        ],
+    )
+    def test_other_host_is_refused(self, host):
+        assert ACCESS.refusal(headers(host), is_socket=False) == "unknown host"
+        assert not ACCESS.has_token("/?token=secret", host)
+
+    @pytest.mark.parametrize(
+        "origin", ["", "null", "http://evil.example", "https://127.0.0.1:8440", "http://localhost:8440"]
+    )
+    def test_socket_of_other_origin_is_refused(self, origin):
+        assert ACCESS.refusal(headers(origin=origin), is_socket=True) == "foreign origin"
+
+    @pytest.mark.parametrize(
+        "cookie",
+        ["", "skyherd_play_8440=", "skyherd_play_8440=secre", "skyherd_play_80=secret", "\x00;=;\xff"],
+    )
+    def test_wrong_cookie_is_refused(self, cookie):
+        assert "token" in ACCESS.refusal(headers(cookie=cookie), is_socket=False)
+
+    def test_wide_server_allows_addresses_and_its_name_only(self):
+        wide = replace(ACCESS, host="0.0.0.0")
+        assert wide.allows_host("192.168.1.7:8440") and wide.allows_host(f"{socket.gethostname()}:8440")
+        assert not wide.allows_host("evil.example:8440")
+        assert wide.url == "http://127.0.0.1:8440/?token=secret"
+
+    def test_tokens_differ_and_are_long(self):
+        tokens = {Access.make("127.0.0.1", 1).token for _ in range(20)}
+        assert len(tokens) == 20 and min(map(len, tokens)) >= 32
+
+
+def test_taken_port_is_one_error():
+    with bind("127.0.0.1", 0) as first, pytest.raises(InputError, match="--port"):
+        bind("127.0.0.1", first.getsockname()[1])
+    with pytest.raises(InputError, match="no such address"):
+        bind("no-such-host.invalid", 0)
+
+
+def get(access, path, **sent):
+    """Return status, headers and body of a request."""
+    with closing(http.client.HTTPConnection("127.0.0.1", access.port, timeout=10)) as connection:
+        connection.request("GET", path, headers={"Host": f"127.0.0.1:{access.port}", **sent})
+        answer = connection.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read()
+
+
+def cookie_of(access):
+    return get(access, f"/?token={access.token}")[1]["Set-Cookie"].split(";")[0]
+
+
+def connect(access, **changed):
+    """Return a WebSocket, to be opened in an `async with` statement; headers may be changed."""
+    host = f"127.0.0.1:{access.port}"
+    sent = {"Origin": f"http://{host}", "Cookie": f"{access.cookie}={access.token}", **changed}
+    protocol = sent.pop("protocol", f"viser-v{viser.__version__}")
+    return websockets.connect(
+        f"ws://{host}",
+        origin=sent.pop("Origin"),
+        additional_headers=sent,
+        subprotocols=[protocol],
+        max_size=None,
+    )
+
+
+class TestServer:
+    def test_page_needs_the_token(self, open_page):
+        with open_page() as page:
+            access = page.access
+            for path in ("/", "/?token=wrong", "/index.html", f"/?token={access.token[:-1]}"):
+                status, _, body = get(access, path)
+                assert status == 403 and body.startswith(b"refused: no valid token")
+            status, sent, _ = get(access, f"/?token={access.token}")
+            assert (status, sent["Location"]) == (303, "/")
+            assert "HttpOnly" in sent["Set-Cookie"] and "SameSite=Strict" in sent["Set-Cookie"]
+            status, sent, body = get(access, "/", Cookie=cookie_of(access))
+            assert status == 200 and b"<html" in body.lower()
+            assert sent["Content-Security-Policy"] == "frame-ancestors 'none'"
+
+    def test_rebound_name_is_refused_with_the_token(self, open_page):
+        with open_page() as page:
+            access = page.access
+            for path in ("/", f"/?token={access.token}"):
+                sent = {"Host": f"evil.example:{access.port}", "Cookie": f"{access.cookie}={access.token}"}
+                assert get(access, path, **sent)[0] == 403
+
+    @pytest.mark.parametrize(
+        "changed",
+        [
+            {"Origin": "http://evil.example"},
+            {"Origin": None},
+            {"Cookie": "skyherd_play_1=x"},
+            {"Host": "evil.example:80"},
+            {"protocol": "viser-v0.0.1"},
+        ],
+        ids=str,
+    )
+    def test_socket_is_refused(self, open_page, changed):
+        async def attack():
+            async with connect(page.access, **changed):
+                pass
+
+        with open_page() as page, pytest.raises(websockets.InvalidStatus, match="403"):
+            asyncio.run(attack())
+
+    def test_hostile_messages_change_nothing(self, open_page, capfd):
+        """300 messages: malformed, oversized, unknown kinds, foreign controls, wrong values."""
+        with open_page(speed=1.0) as page:
+            before = page.session.added[:]
+
+            async def attack():
+                for some in chunks(hostile_messages(page), 15):
+                    async with connect(page.access) as socket:
+                        for raw in some:
+                            await socket.send(raw)
+
+            asyncio.run(attack())
+            assert page.session.added == before and not page.session.is_paused
+            assert page.session.speed == 1.0 and page.server._share_tunnel is None
+        said = capfd.readouterr()
+        assert "Traceback" not in said.out + said.err
+
+    def test_valid_message_is_acted_on(self, open_page):
+        """Negative control: the same connection can pause the session."""
+        with open_page(speed=1.0) as page:
+
+            async def press():
+                async with connect(page.access) as socket:
+                    await socket.send(CAMERA)
+                    await asyncio.sleep(0.5)
+                    await socket.send(update(page._panel._pause, value=True))
+                    for _ in range(50):
+                        await asyncio.sleep(0.1)
+                        if page.session.is_paused:
+                            return
+
+            asyncio.run(press())
+            assert page.session.is_paused
+
+    def test_connection_of_an_attacker_is_closed(self, open_page):
+        with open_page(speed=1.0) as page:
+
+            async def attack():
+                async with connect(page.access) as socket:
+                    for _ in range(30):
+                        await socket.send(b"\x00")
+                    with pytest.raises(websockets.ConnectionClosed) as closed:
+                        while True:
+                            await socket.recv()
+                assert closed.value.rcvd.code == 1008
+
+            asyncio.run(attack())
+
+
+CAMERA = msgspec.msgpack.encode(
+    {
+        "type": "ViewerCameraMessage",
+        "wxyz": [1, 0, 0, 0],
+        "position": [0, 0, 9.5],
+        "fov": 1.0,
+        "near": 0.1,
+        "far": 100,
+        "image_height": 600,
+        "image_width": 800,
+        "look_at": [0, 0, 0],
+        "up_direction": [0, 0, 1],
+    }
+)
+
+
+def update(handle, **updates):
+    return msgspec.msgpack.encode({"type": "GuiUpdateMessage", "uuid": handle._impl.uuid, "updates": updates})
+
+
+def chunks(items, size):
+    return [items[k : k + size] for k in range(0, len(items), size)]
+
+
+def hostile_messages(page):
+    """Return 300 messages, none of which may have an effect; seeded."""
+    rng, panel = random.Random(4), page._panel
+    kinds = ("ShareUrlRequest", "ShareUrlDisconnect", "FileTransferStartUpload", "GetRenderResponseMessage",
+             "GuiFormSubmitMessage", "RemoveSceneNodeMessage", "__class__", "")  # fmt: skip
+    messages = [msgspec.msgpack.encode({"type": kind}) for kind in kinds]
+    messages += [msgspec.msgpack.encode(value) for value in (None, 1, [], {}, "x", {"type": 3}, {"type": []})]
+    messages += [b"\x91" * 20_000, b"\x91" * 5_000, b"\xdf\xff\xff\xff\xff", CAMERA[:-3], CAMERA * 9]
+    wrong = (None, -1, 2**40, float("nan"), float("inf"), "x", "x" * 5000, [], {}, [1, 2])
+    messages += [update(panel._seed, value=value) for value in wrong]
+    messages += [update(panel._speed, value=value) for value in (*wrong[:5], "__class__", *wrong[7:])]
+    messages += [update(panel._pause, value=value) for value in wrong]
+    messages += [update(panel._pause, **{key: True}) for key in ("label", "_impl", "__class__", "disabled")]
+    messages += [update(panel._pause, value=True, label="x"), update(panel._pause)]
+    camera = msgspec.msgpack.decode(CAMERA)
+    messages += [msgspec.msgpack.encode({**camera, key: "x"}) for key in camera]
+    messages += [
+        msgspec.msgpack.encode({**camera, "fov": value}) for value in (float("nan"), float("inf"), 1e300)
+    ]
+    messages += ["text", *(rng.randbytes(rng.randrange(1, 400)) for _ in range(300 - len(messages)))][
+        : 300 - len(messages)
+    ]
+    return messages

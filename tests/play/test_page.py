@@ -1,0 +1,126 @@
+"""The page of `skyherd play` in a browser, and what it shows without one."""
+
+import time
+
+import numpy as np
+import pytest
+
+from skyherd.datasets import load_mission, read_interventions
+from skyherd.markers.dictionary import marker_cells
+from skyherd.play.panel import describe, escaped
+from skyherd.play.scene import field_of_view_rad, ground_picture, marker_picture, wxyz_about_z, wxyz_of
+from skyherd.play.session import Change, Pause, Restart, SingleStep
+
+WAIT_S = 20.0
+"""Time for a browser or the loop to do something, s. Chosen: a hundred times as long as it takes alone."""
+
+
+def wait_until(condition):
+    end_s = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < end_s, "nothing happened"
+        time.sleep(0.02)
+
+
+class TestScene:
+    def test_nodes_are_where_the_step_is(self, open_page):
+        with open_page() as page:
+            scene, session = page._scene, page.session
+            session.ask(Pause(True))
+            wait_until(lambda: session.is_paused and page._step is session._step and not page._news.qsize())
+            session.ask(SingleStep())
+            wait_until(
+                lambda: page._step is session._step and scene._robots[5].position[0] == _place(page)[0]
+            )
+            step = session._step
+            np.testing.assert_allclose(scene._robots[5].position[:2], step.positions_m[5])
+            unit = scene._units[1]
+            np.testing.assert_allclose(unit.position, [*step.fleet.positions_m[1], step.fleet.heights_m[1]])
+            assert len(scene._robots) == 16 and len(scene._units) == 3
+
+    def test_dead_unit_loses_frustum_and_colour(self, open_page):
+        with open_page() as page:
+            page.session.ask(Change(({"kind": "kill", "unit": 1},)))
+            wait_until(lambda: not page._scene._frustums[1].visible)
+            assert page._scene._painted[1][0].color != page._scene._painted[0][0].color
+            assert page._scene._frustums[0].visible
+
+    def test_restart_clears_traces_and_events(self, open_page):
+        with open_page(speed=1.0) as page:
+            page.session.ask(Change(({"kind": "cover", "marker": 1},)))
+            wait_until(lambda: page._panel._events)
+            page.session.ask(Restart(2))
+            wait_until(lambda: page._step.time_s < 0.3 and not page._panel._events)
+            assert page.session.seed == 2
+
+    def test_images_are_shown_of_every_camera(self, open_page):
+        with open_page("triangle", ["units.*.camera.size_px=[120,80]"]) as page:
+            wait_until(lambda: all(frustum.image is not None for frustum in page._scene._frustums))
+            assert page._scene._frustums[0].image.shape == (80, 120, 3)
+
+    @pytest.mark.parametrize("name", ["obstacles", "tree", "letters", "failure"])
+    def test_built_in_scenario_is_shown(self, open_page, name):
+        with open_page(name) as page:
+            wait_until(lambda: page._step is not None and page._step.time_s > 0.5)
+
+
+def _place(page):
+    return page.session._step.positions_m[5]
+
+
+class TestGeometry:
+    def test_ground_picture_holds_the_robots(self):
+        """It is pale, and shows the ground around all robots."""
+        mission = load_mission("star")
+        picture, center_m, side_m = ground_picture(mission)
+        assert picture.shape == (1024, 1024, 3) and picture.min() > 100
+        assert (np.abs(mission.positions_m - center_m) < side_m / 2).all()
+
+    def test_marker_picture_has_its_cells_in_order(self):
+        picture = marker_picture("4X4_50", 7, pixels=4)
+        cells = marker_cells("4X4_50", 7)
+        margin = (len(picture) - 4 * len(cells)) // 2
+        inner = picture[margin : margin + 4 * len(cells), margin : margin + 4 * len(cells), 0]
+        np.testing.assert_array_equal(inner[2::4, 2::4] > 0, cells)
+
+    def test_quaternion_turns_as_its_matrix(self):
+        angle = 0.7
+        matrix = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        np.testing.assert_allclose(wxyz_of(matrix), wxyz_about_z(angle), atol=1e-12)
+
+    def test_field_of_view_follows_zoom(self):
+        camera = load_mission("star").cameras_at(0.0)[0]
+        assert field_of_view_rad(camera, 1.0) == pytest.approx(np.radians(78.0))
+        assert np.tan(field_of_view_rad(camera, 2.0) / 2) == pytest.approx(np.tan(np.radians(39.0)) / 2)
+
+
+def test_text_of_external_source_has_no_markup():
+    assert not set(escaped("[x](javascript:1) <b> `a` **b** ![i](u) \n# h")) & set("[]<>`*!#\n")
+
+
+def test_events_name_target_and_values():
+    tables = [
+        ({"kind": "camera", "unit": 0, "zoom": 1.25}, "camera unit 0 zoom 1.25"),
+        ({"kind": "robot", "robot": 4, "position_m": [9.0, 1.0]}, "robot 4 position_m (9, 1)"),
+        ({"kind": "kill", "unit": 2}, "kill unit 2"),
+        ({"kind": "template", "shape": "word:SKY"}, "template shape word:SKY"),
+    ]
+    for table, said in tables:
+        assert describe(read_interventions([{**table, "at_s": 1}])[0]) == said
+
+
+class TestBrowser:
+    def test_page_shows_and_pauses_the_run(self, open_page, gl_browser):
+        with open_page(speed=1.0) as page, gl_browser(page.access.url) as window:
+            assert page.access.token not in window.url
+            window.get_by_text("shape error").first.wait_for()
+            window.get_by_role("button", name="Pause (P)").click()
+            wait_until(lambda: page.session.is_paused)
+            time_s = page.session._step.time_s
+            window.get_by_role("button", name="Single step (N)").click()
+            wait_until(lambda: page.session._step.time_s > time_s)
+            window.get_by_role("button", name="Continue (P)").click()
+            wait_until(lambda: not page.session.is_paused)
+            window.keyboard.press("p")
+            wait_until(lambda: page.session.is_paused)
+            assert window.get_by_text("share", exact=False).count() == 0

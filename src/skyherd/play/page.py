@@ -53,6 +53,7 @@ class Page:
         camera = self.server.initial_camera
         camera.position, camera.look_at = self._scene.view_from()
         self._panel = Panel(self.server, session, allowed)
+        self._scene.on_click(self._panel.choose)
         self._step: Step | None = None
         session.listen(self._news.put)
 

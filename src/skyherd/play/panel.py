@@ -5,18 +5,22 @@ Callbacks of controls run in threads of the server. They only ask the session fo
 
 from collections import deque
 from collections.abc import Callable
+from time import monotonic
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from skyherd.analysis.goal_points import outline_px
 from skyherd.control import ControlSets
-from skyherd.datasets import Intervention, Mission
+from skyherd.datasets import SHAPES, Intervention, Mission
 from skyherd.drawing.palette import INK, TEMPLATE_COLOR
 from skyherd.geometry import Array
 from skyherd.loop import Step, UnitFrame
+from skyherd.play.controls import GAINS, RADIO, Sliders, unit_quantities
+from skyherd.play.grab import Grab
 from skyherd.play.messages import MessageFilter
 from skyherd.play.session import (
+    Change,
     Pause,
     Restart,
     Save,
@@ -56,6 +60,9 @@ MIN_SHOWN = 1e-5
 EVENTS_SHOWN = 8
 """Events that are listed. Chosen: fit beside the curves."""
 
+REFRESH_S = 0.4
+"""Time between two updates of the sliders, s. Chosen: cheap, and soon after an undo."""
+
 BUTTON = (33, 84, 140)
 """Colour of buttons. Chosen: white text on it has a contrast of 7.6, above the 4.5 of WCAG AA."""
 
@@ -78,6 +85,8 @@ class Panel:
         self._times_s: deque[float] = deque()
         self._curves: deque[tuple[float, float]] = deque()
         self._events: deque[str] = deque(maxlen=EVENTS_SHOWN)
+        self._refreshed_s = 0.0
+        self._grab = Grab(server, session)
         self._frames: dict[int, UnitFrame] = {}
         self._notice = ""
         tabs = self._gui.add_tab_group()
@@ -85,7 +94,14 @@ class Panel:
             self._add_transport()
             self._add_displays()
         with tabs.add_tab("Cameras"):
+            self._units: list[Sliders] = []
+            self._lives: list[viser.GuiButtonHandle] = []
             self._pictures = [self._add_picture(mission, unit) for unit in range(len(mission.scenario.units))]
+        with tabs.add_tab("Team"):
+            self._add_move()
+            self._add_shape()
+            self._add_marker()
+            self._team = self._add_team(mission)
         self._add_keys()
 
     @property
@@ -121,7 +137,14 @@ class Panel:
         self._show_state(step, mission)
         values = np.maximum(np.array(self._curves), MIN_SHOWN)
         self._plot.data = (np.array(self._times_s), values[:, 0], values[:, 1])
+        self._grab.show(step, mission)
         dead = mission.scenario.dead_units(step.time_s)
+        if monotonic() - self._refreshed_s > REFRESH_S:
+            self._refreshed_s = monotonic()
+            for sliders in (*self._team, *self._units):
+                sliders.show(step, mission)
+            for unit, button in enumerate(self._lives):
+                button.label = f"{'Revive' if unit in dead else 'Kill'} unit {unit}"
         for unit in dead:
             self._frames.pop(unit, None)
             self._pictures[unit].show_dead()
@@ -178,7 +201,52 @@ class Panel:
 
     def _add_picture(self, mission: Mission, unit: int) -> "UnitPicture":
         with self._gui.add_folder(f"unit {unit}"):
-            return UnitPicture(self._gui, mission, unit)
+            picture = UnitPicture(self._gui, mission, unit)
+            with self._gui.add_folder(f"change unit {unit}", expand_by_default=unit == 0):
+                quantities = unit_quantities(mission, unit)
+                self._units.append(Sliders(self._gui, self._allowed, self._session, quantities, unit))
+                self._lives.append(self._button(f"Kill unit {unit}", lambda: self._kill_or_revive(unit)))
+        return picture
+
+    def _kill_or_revive(self, unit: int) -> None:
+        kind = self._lives[unit].label.split()[0].lower()
+        self._session.ask(Change(({"kind": kind, "unit": unit},)))
+
+    def _add_move(self) -> None:
+        """Add the choice of what the handle in the scene moves; a click on an object chooses it, too."""
+        with self._gui.add_folder("Move"):
+            chosen = self._gui.add_dropdown(
+                "handle at", self._grab.choices, hint="or click on it in the scene"
+            )
+            self._known(chosen).on_update(lambda _: self._grab.choose(chosen.value))
+        self.choose: Callable[[str], None] = lambda choice: setattr(chosen, "value", choice)
+
+    def _add_shape(self) -> None:
+        gui, session = self._gui, self._session
+        with gui.add_folder("Shape"):
+            shape = self._known(gui.add_dropdown("shape", sorted(SHAPES)))
+            self._form = self._button("Form the shape", lambda: session.ask(shape_change(shape.value)))
+            word = self._known(gui.add_text("word", "", hint="letters that the robots write, such as SKY"))
+            self._write = self._button("Write the word", lambda: session.ask(word_change(word.value)))
+            self._word = word
+
+    def _add_marker(self) -> None:
+        gui, session = self._gui, self._session
+        mission = session.mission
+        markers = [str(marker) for marker in (*mission.ids.tolist(), *mission.obstacle_ids.tolist())]
+        with gui.add_folder("Cover a marker"):
+            marker = self._known(gui.add_dropdown("marker", markers))
+            self._cover = self._button("Cover", lambda: session.ask(cover_change(marker.value)))
+            self._uncover = self._button("Uncover", lambda: session.ask(uncover_change(marker.value)))
+
+    def _add_team(self, mission: Mission) -> list[Sliders]:
+        added = []
+        gains = GAINS[mission.scenario.control.gains]
+        for title, quantities in (("Radio", RADIO), ("Gains", gains)):
+            if title == "Radio" or mission.scenario.control.method == "similarity":
+                with self._gui.add_folder(title):
+                    added.append(Sliders(self._gui, self._allowed, self._session, quantities))
+        return added
 
     def _add_keys(self) -> None:
         session = self._session
@@ -202,6 +270,26 @@ class Panel:
         """Register a control with the filter of messages, and return it."""
         self._allowed.register(handle)
         return handle
+
+
+def shape_change(shape: str) -> Change:
+    """Return the request for a named shape or a word."""
+    return Change(({"kind": "template", "shape": shape},))
+
+
+def word_change(word: str) -> Change:
+    """Return the request for a word, in capitals."""
+    return shape_change(f"word:{word.upper()}")
+
+
+def cover_change(marker: str) -> Change:
+    """Return the request to cover a marker."""
+    return Change(({"kind": "cover", "marker": int(marker)},))
+
+
+def uncover_change(marker: str) -> Change:
+    """Return the request to uncover a marker."""
+    return Change(({"kind": "cover", "marker": int(marker), "covered": False},))
 
 
 def _ignoring_event(act: Callable[[], None]) -> Callable[[object], None]:

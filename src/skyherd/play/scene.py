@@ -5,6 +5,7 @@ Nodes of robots and units are named `/robots/ID` and `/units/NUMBER`.
 """
 
 from collections import deque
+from collections.abc import Callable
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -163,6 +164,11 @@ class Lines:
             self._node.colors = np.repeat(each[:, None], 2, axis=1)
 
 
+def clicking(choose: Callable[[str], None], name: str) -> Callable[[object], None]:
+    """Return a function that ignores the event of a click and chooses an object."""
+    return lambda event: choose(name)
+
+
 class Scene:
     """The 3-D scene of one mission.
 
@@ -176,7 +182,7 @@ class Scene:
         self._side_m = mission.scenario.marker.side_m
         self._ids = mission.ids
         self._past_m: deque[Array] = deque(maxlen=TRACE_STEPS)
-        self._bodies: dict[tuple[str, int], viser.BoxHandle] = {}
+        self._clickable: list[tuple[str, viser.BoxHandle | viser.ImageHandle]] = []
         self._painted: dict[int, list[viser.BoxHandle]] = {}
         self._scene.reset()
         self._scene.set_up_direction("+z")
@@ -192,6 +198,11 @@ class Scene:
         self._frustums = [self._add_frustum(mission, unit) for unit in range(len(self._sizes_m))]
         self._dead: frozenset[int] = frozenset()
         self._images: dict[int, Image] = {}
+
+    def on_click(self, choose: Callable[[str], None]) -> None:
+        """Call a function with `robot ID` or `unit NUMBER` when one is clicked."""
+        for name, node in self._clickable:
+            node.on_click(clicking(choose, name))
 
     def view_from(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Return the place of the observer and the point looked at, m."""
@@ -319,10 +330,11 @@ class Scene:
             )
             self._add_card(mission, f"/obstacles/{marker}/card", marker, 1.02 * height_m)
 
-    def _add_card(self, mission: Mission, name: str, marker: int, height_m: float) -> None:
+    def _add_card(self, mission: Mission, name: str, marker: int, height_m: float) -> "viser.ImageHandle":
+        """Add the card of a marker, which faces up at a height."""
         dictionary = mission.scenario.marker.dictionary
         card_m = self._side_m * (1 + 2 * QUIET_ZONE_CELLS / cells_per_side(dictionary))
-        self._scene.add_image(
+        return self._scene.add_image(
             name,
             marker_picture(dictionary, marker),
             card_m,
@@ -348,9 +360,9 @@ class Scene:
                 wxyz=(np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0),
                 position=(0.0, 0.74 * left * side_m, 0.28 * side_m),
             )
-        self._add_card(mission, f"{name}/card", robot, 0.49 * side_m)
+        card = self._add_card(mission, f"{name}/card", robot, 0.49 * side_m)
         self._scene.add_label(f"{name}/number", str(robot), position=(0.0, 0.0, 1.6 * side_m))
-        self._bodies["robot", robot] = body
+        self._clickable += [(f"robot {robot}", body), (f"robot {robot}", card)]
         return node
 
     def _add_unit(self, unit: int) -> "viser.FrameHandle":
@@ -373,7 +385,8 @@ class Scene:
                 position=(float(size_m * corner.real), float(size_m * corner.imag), 0.12 * size_m),
             )
         self._scene.add_label(f"{name}/number", f"unit {unit}", position=(0.0, 0.0, 0.9 * size_m))
-        self._bodies["unit", unit], self._painted[unit] = body, parts
+        self._clickable.append((f"unit {unit}", body))
+        self._painted[unit] = parts
         return node
 
     def _add_frustum(self, mission: Mission, unit: int) -> "viser.CameraFrustumHandle":

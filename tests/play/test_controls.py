@@ -49,7 +49,7 @@ class TestSliders:
     @pytest.mark.parametrize("quantity", [*RADIO, *GAINS["marker"]], ids=lambda one: one.key)
     def test_sliders_of_radio_and_gains_change_their_values(self, open_page, quantity):
         with open_page() as page:
-            sliders = [slider for group in page._panel._team for slider in group._sliders]
+            sliders = [slider for group in page._panel._team._sliders for slider in group._sliders]
             node = next(slider._node for slider in sliders if slider.quantity is quantity)
             wait_until(lambda: page.session._step is not None)
             moved(node, quantity.high)
@@ -88,7 +88,7 @@ class TestTeam:
 
     def test_shape_word_and_cover_become_interventions(self, open_page):
         with open_page() as page:
-            panel = page._panel
+            panel = page._panel._team
             wait_until(lambda: page.session._step is not None)
             panel._word.value = "hi"
             for button in (panel._form, panel._write, panel._cover, panel._uncover):
@@ -106,8 +106,8 @@ class TestTeam:
     def test_word_that_cannot_be_written_is_told(self, open_page):
         with open_page() as page:
             wait_until(lambda: page.session._step is not None)
-            page._panel._word.value = "漢"
-            moved(page._panel._write, True)
+            page._panel._team._word.value = "漢"
+            moved(page._panel._team._write, True)
             wait_until(lambda: "漢" in page._panel._notice)
             assert not page.session.added
 
@@ -122,21 +122,39 @@ class TestMove:
                 ("unit 1", {"kind": "unit", "unit": 1, "position_m": (9.0, 1.0), "height_m": 15.0}),
             ):
                 page._panel.choose(choice)
-                wait_until(lambda: grab._node is not None and grab._node.visible)
-                count = len(page.session.added)
-                grab._drag("start", grab._node.position)
-                grab._drag("update", [9.0, 1.0, 15.0])
+                wait_until(lambda: grab._held is not None and grab._held.node.visible)
+                count, held = len(page.session.added), grab._held
+                grab._drag(held, "start", held.node.position)
+                grab._drag(held, "update", [9.0, 1.0, 15.0])
                 wait_until(lambda count=count: len(page.session.added) > count)
                 assert last_change(page) == table
-                grab._drag("end", [9.0, 1.0, 15.0])
+                grab._drag(held, "end", [9.0, 1.0, 15.0])
                 page._panel.choose("nothing")
-                wait_until(lambda: grab._node is None)
+                wait_until(lambda: grab._held is None)
 
     def test_handle_follows_its_robot_while_it_is_free(self, open_page):
         with open_page() as page:
             page._panel.choose("robot 4")
             grab = page._panel._grab
-            wait_until(lambda: grab._node is not None and grab._node.visible)
-            first = grab._node.position.copy()
-            wait_until(lambda: (grab._node.position != first).any())
+            wait_until(lambda: grab._held is not None and grab._held.node.visible)
+            first = grab._held.node.position.copy()
+            wait_until(lambda: (grab._held.node.position != first).any())
             assert not page.session.added
+
+    def test_dragged_handle_does_not_follow_its_robot(self, open_page):
+        with open_page() as page:
+            page._panel.choose("robot 4")
+            grab = page._panel._grab
+            wait_until(lambda: grab._held is not None and grab._held.node.visible)
+            grab._drag(grab._held, "start", None)
+            first, time_s = grab._held.node.position.copy(), page._step.time_s
+            wait_until(lambda: page._step.time_s > time_s + 2)
+            assert (grab._held.node.position == first).all()
+
+    def test_choices_during_the_run_do_not_disturb_the_drawing(self, open_page):
+        with open_page() as page:
+            wait_until(lambda: page._step is not None)
+            for choice in page._panel._grab.choices * 20:
+                page._panel._grab.choose(choice)
+            time_s = page._step.time_s
+            wait_until(lambda: page._step.time_s > time_s)

@@ -6,9 +6,11 @@ from play_pages import wait_until
 
 from skyherd.datasets import load_mission, read_interventions
 from skyherd.markers.dictionary import marker_cells
-from skyherd.play.panel import describe, escaped
-from skyherd.play.scene import field_of_view_rad, ground_picture, marker_picture, wxyz_about_z, wxyz_of
+from skyherd.play.pictures import ground_picture, marker_picture
+from skyherd.play.poses import VIEW_FOV_RAD, Window, field_of_view_rad, view_of, wxyz_about_z, wxyz_of
+from skyherd.play.scene import corners_m
 from skyherd.play.session import Change, Pause, Restart, SingleStep
+from skyherd.play.wording import describe, escaped
 
 
 class TestScene:
@@ -23,16 +25,16 @@ class TestScene:
             )
             step = session._step
             np.testing.assert_allclose(scene._robots[5].position[:2], step.positions_m[5])
-            unit = scene._units[1]
+            unit = scene._units[1].body
             np.testing.assert_allclose(unit.position, [*step.fleet.positions_m[1], step.fleet.heights_m[1]])
             assert len(scene._robots) == 16 and len(scene._units) == 3
 
     def test_dead_unit_loses_frustum_and_colour(self, open_page):
         with open_page() as page:
             page.session.ask(Change(({"kind": "kill", "unit": 1},)))
-            wait_until(lambda: not page._scene._frustums[1].visible)
-            assert page._scene._painted[1][0].color != page._scene._painted[0][0].color
-            assert page._scene._frustums[0].visible
+            wait_until(lambda: not page._scene._units[1].frustum.visible)
+            assert page._scene._units[1].painted[0].color != page._scene._units[0].painted[0].color
+            assert page._scene._units[0].frustum.visible
 
     def test_restart_clears_traces_and_events(self, open_page):
         with open_page(speed=1.0) as page:
@@ -40,12 +42,13 @@ class TestScene:
             wait_until(lambda: page._panel._events)
             page.session.ask(Restart(2))
             wait_until(lambda: page.session.seed == 2 and not page._panel._events)
-            assert len(page._scene._past_m) == len(page._panel._times_s) < 100
+            assert 0 < len(page._scene._past_m) <= len(page._panel._times_s) < 100
 
     def test_images_are_shown_of_every_camera(self, open_page):
         with open_page("triangle", ["units.*.camera.size_px=[120,80]"]) as page:
-            wait_until(lambda: all(frustum.image is not None for frustum in page._scene._frustums))
-            assert page._scene._frustums[0].image.shape == (80, 120, 3)
+            wait_until(lambda: all(unit.frustum.image is not None for unit in page._scene._units))
+            height, width, _ = page._scene._units[0].frustum.image.shape
+            assert width / height == pytest.approx(1.5, rel=0.02)
 
     @pytest.mark.parametrize("name", ["obstacles", "tree", "letters", "failure"])
     def test_built_in_scenario_is_shown(self, open_page, name):
@@ -81,6 +84,29 @@ class TestGeometry:
         camera = load_mission("star").cameras_at(0.0)[0]
         assert field_of_view_rad(camera, 1.0) == pytest.approx(np.radians(78.0))
         assert np.tan(field_of_view_rad(camera, 2.0) / 2) == pytest.approx(np.tan(np.radians(39.0)) / 2)
+
+
+class TestView:
+    @pytest.mark.parametrize("size_px", [(1280, 800), (1920, 1080), (390, 844), (800, 600)])
+    @pytest.mark.parametrize("name", ["star", "handheld"])
+    def test_first_view_shows_the_team_beside_the_panel(self, name, size_px):
+        """Points are projected by a camera that looks along the line of sight, with z up."""
+        points_m, window = corners_m(load_mission(name)), Window.of(*size_px)
+        place, looked_at = map(np.array, view_of(points_m, window))
+        ahead = (looked_at - place) / np.linalg.norm(looked_at - place)
+        right = np.cross(ahead, [0, 0, 1])
+        right /= np.linalg.norm(right)
+        above = np.cross(right, ahead)
+        tangent = np.tan(VIEW_FOV_RAD / 2)
+        depth = (points_m - place) @ ahead
+        u = (points_m - place) @ right / depth / tangent / window.aspect
+        v = (points_m - place) @ above / depth / tangent
+        tolerance = 1e-9
+        assert depth.min() > 0
+        assert u.min() >= window.u[0] - tolerance and u.max() <= window.u[1] + tolerance
+        assert v.min() >= window.v[0] - tolerance and v.max() <= window.v[1] + tolerance
+        fills = [np.ptp(seen) / (high - low) for seen, (low, high) in ((u, window.u), (v, window.v))]
+        assert max(fills) == pytest.approx(1)
 
 
 def test_text_of_external_source_has_no_markup():

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from skyherd.datasets import Mission
 from skyherd.loop import Step
+from skyherd.play.buttons import Controls
 from skyherd.play.changes import Table, camera_values, unit_values
-from skyherd.play.messages import MessageFilter
 from skyherd.play.session import Change, Session
 
 if TYPE_CHECKING:
@@ -121,22 +121,22 @@ class Slider:
 
     def __init__(
         self,
-        gui: "viser.GuiApi",
-        allowed: MessageFilter,
+        controls: Controls,
         quantity: Quantity,
         number: float,
         on_change: Callable[[Quantity, float], None],
     ) -> None:
         self.quantity, self._touched_s = quantity, -TOUCH_S
-        self._node: Any = gui.add_slider(
-            quantity.label,
-            min=float(min(quantity.low, number)),
-            max=float(max(quantity.high, number)),
-            step=quantity.step,
-            initial_value=float(number),
-            hint=quantity.hint,
+        self._node: Any = controls.known(
+            controls.gui.add_slider(
+                quantity.label,
+                min=float(min(quantity.low, number)),
+                max=float(max(quantity.high, number)),
+                step=quantity.step,
+                initial_value=float(number),
+                hint=quantity.hint,
+            )
         )
-        allowed.register(self._node)
 
         def moved(event: "viser.GuiEvent[Any]") -> None:
             if event.client is not None:  # otherwise the value comes from `show`
@@ -158,8 +158,7 @@ class Sliders:
     """Sliders of one unit, or of radio and gains.
 
     Args:
-        gui: interface of the page.
-        allowed: filter that must know each control.
+        controls: maker of controls.
         session: session that is asked.
         quantities: the numbers.
         unit: the unit, or None.
@@ -167,8 +166,7 @@ class Sliders:
 
     def __init__(
         self,
-        gui: "viser.GuiApi",
-        allowed: MessageFilter,
+        controls: Controls,
         session: Session,
         quantities: Iterator[Quantity] | tuple[Quantity, ...],
         unit: int | None = None,
@@ -176,7 +174,7 @@ class Sliders:
         self._session, self._unit = session, unit
         self._values: Mapping[str, Any] = start_values(session.mission, unit)
         self._sliders = [
-            Slider(gui, allowed, one, one.of(self._values[one.key]), self._ask) for one in quantities
+            Slider(controls, one, one.of(self._values[one.key]), self._ask) for one in quantities
         ]
 
     def show(self, step: Step, mission: Mission) -> None:

@@ -5,12 +5,9 @@ refused like any unknown kind.
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import msgspec
-
-if TYPE_CHECKING:
-    pass
 
 MAX_BYTES = 16_384
 """Maximum size of a message, bytes. Chosen: twenty times the largest that the page sends."""

@@ -14,6 +14,7 @@ from skyherd.loop import Step
 from skyherd.play.access import Access
 from skyherd.play.messages import MessageFilter
 from skyherd.play.panel import Panel
+from skyherd.play.pictures import LiveImages
 from skyherd.play.scene import Scene
 from skyherd.play.server import start_server, stop_server
 from skyherd.play.session import End, Session
@@ -49,11 +50,9 @@ class Page:
         self._error: BaseException | None = None
         allowed = MessageFilter()
         self.server = start_server(access, listener, allowed)
-        self._scene = Scene(self.server, session.mission)
-        camera = self.server.initial_camera
-        camera.position, camera.look_at = self._scene.view_from()
-        self._panel = Panel(self.server, session, allowed)
-        self._scene.on_click(self._panel.choose)
+        self._images = LiveImages(session.mission)
+        self._panel = Panel(self.server, session, allowed, self._images.first)
+        self._scene = Scene(self.server, session.mission, self._panel.choose)
         self._step: Step | None = None
         session.listen(self._news.put)
 
@@ -81,8 +80,9 @@ class Page:
                 started_s = perf_counter()
                 if self._step is not None:
                     mission = self.session.mission
-                    self._scene.draw(self._step, mission)
-                    self._panel.show(self._step, mission)
+                    images = list(self._images.draw(self._step, mission))
+                    self._scene.draw(self._step, mission, images)
+                    self._panel.show(self._step, mission, images)
                 cost_s = perf_counter() - started_s
                 sleep(max(MIN_INTERVAL_S - cost_s, cost_s / DRAWING_SHARE - cost_s))
         except BaseException as error:
@@ -91,17 +91,18 @@ class Page:
 
     def _take_news(self) -> bool:
         """Wait for news and take in all there are; return False at the end."""
-        has_more = self._scene.has_images or self._panel.has_images
-        for news in self._waiting(is_patient=not has_more):
+        for news in self._waiting(is_patient=not self._images.is_waiting):
             if news is END:
                 return False
             if isinstance(news, str):
                 self._panel.notice(news)
             elif isinstance(news, Step):
                 if self._step is not None and news.time_s <= self._step.time_s:
+                    self._images.clear()
                     self._scene.clear()
                     self._panel.clear()
                 self._step = news
+                self._images.collect(news)
                 self._scene.collect(news)
                 self._panel.collect(news)
         return True

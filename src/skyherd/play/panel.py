@@ -4,21 +4,21 @@ Callbacks of controls run in threads of the server. They only ask the session fo
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from skyherd.analysis.goal_points import outline_px
-from skyherd.control import ControlSets
-from skyherd.datasets import SHAPES, Intervention, Mission
+from skyherd.datasets import Mission
 from skyherd.drawing.palette import INK, TEMPLATE_COLOR
-from skyherd.geometry import Array
-from skyherd.loop import Step, UnitFrame
-from skyherd.play.controls import GAINS, RADIO, Sliders, unit_quantities
+from skyherd.geometry import RgbImage
+from skyherd.loop import Step
+from skyherd.play.buttons import Controls, ignoring_event
+from skyherd.play.controls import Sliders, unit_quantities
 from skyherd.play.grab import Grab
 from skyherd.play.messages import MessageFilter
+from skyherd.play.pictures import LiveImage
 from skyherd.play.session import (
     Change,
     Pause,
@@ -29,8 +29,8 @@ from skyherd.play.session import (
     SingleStep,
     Undo,
 )
-from skyherd.video.body_overlay import BodySizes
-from skyherd.video.camera_panel import TITLE_PX, CameraPanel
+from skyherd.play.team_tab import TeamTab
+from skyherd.play.wording import describe, escaped
 
 if TYPE_CHECKING:
     import viser
@@ -54,6 +54,9 @@ MAX_SEED = 2**31 - 1
 CURVE_POINTS = 400
 """Points of the curves. Chosen: one for each pixel of the panel."""
 
+CURVE_PX = 190
+"""Height of the curves, px. Chosen: they are seen without scrolling on a phone."""
+
 MIN_SHOWN = 1e-5
 """Smallest value in the curves with their logarithmic axis. Chosen: far below any goal."""
 
@@ -63,12 +66,6 @@ EVENTS_SHOWN = 8
 REFRESH_S = 0.4
 """Time between two updates of the sliders, s. Chosen: cheap, and soon after an undo."""
 
-BUTTON = (33, 84, 140)
-"""Colour of buttons. Chosen: white text on it has a contrast of 7.6, above the 4.5 of WCAG AA."""
-
-PICTURE_PX = 400
-"""Width of a unit's image in the panel, px. Chosen: the width of the panel on a laptop."""
-
 
 class Panel:
     """Controls and displays of one page.
@@ -77,44 +74,46 @@ class Panel:
         server: server of the page.
         session: session that is asked.
         allowed: filter that must know each control.
+        images: images of the units before their first frame.
     """
 
-    def __init__(self, server: "viser.ViserServer", session: Session, allowed: MessageFilter) -> None:
-        self._gui, self._session, self._allowed = server.gui, session, allowed
-        mission = session.mission
+    def __init__(
+        self,
+        server: "viser.ViserServer",
+        session: Session,
+        allowed: MessageFilter,
+        images: Sequence[RgbImage],
+    ) -> None:
+        self._gui, self._session = server.gui, session
+        self._controls = Controls(server.gui, allowed)
         self._times_s: deque[float] = deque()
         self._curves: deque[tuple[float, float]] = deque()
         self._events: deque[str] = deque(maxlen=EVENTS_SHOWN)
         self._refreshed_s = 0.0
-        self._grab = Grab(server, session)
-        self._frames: dict[int, UnitFrame] = {}
         self._notice = ""
+        self._grab = Grab(server, session)
         tabs = self._gui.add_tab_group()
         with tabs.add_tab("Run"):
             self._add_transport()
             self._add_displays()
+            self._add_saving()
         with tabs.add_tab("Cameras"):
             self._units: list[Sliders] = []
-            self._lives: list[viser.GuiButtonHandle] = []
-            self._pictures = [self._add_picture(mission, unit) for unit in range(len(mission.scenario.units))]
+            self._lives: list[Any] = []
+            self._pictures = [self._add_unit(unit, image) for unit, image in enumerate(images)]
         with tabs.add_tab("Team"):
-            self._add_move()
-            self._add_shape()
-            self._add_marker()
-            self._team = self._add_team(mission)
+            self._team = TeamTab(self._controls, session, self._grab)
         self._add_keys()
 
-    @property
-    def has_images(self) -> bool:
-        """True if a new image waits; each drawing takes one, so that none takes long."""
-        return bool(self._frames)
+    def choose(self, choice: str) -> None:
+        """Put the handle at `robot ID` or `unit NUMBER`; `nothing` hides it."""
+        self._team.choose(choice)
 
     def clear(self) -> None:
         """Forget the curves and events of the run before."""
         self._times_s.clear()
         self._curves.clear()
         self._events.clear()
-        self._frames.clear()
         self._notice = ""
 
     def notice(self, line: str) -> None:
@@ -123,7 +122,6 @@ class Panel:
 
     def collect(self, step: Step) -> None:
         """Keep what the displays need of a step that is not shown."""
-        self._frames |= step.frames
         self._times_s.append(step.time_s)
         self._curves.append((step.metrics.shape.error, step.metrics.V))
         if len(self._times_s) > 2 * CURVE_POINTS:
@@ -132,25 +130,26 @@ class Panel:
         for intervention in step.interventions:
             self._events.appendleft(f"{intervention.at_s:.1f} s: {describe(intervention)}")
 
-    def show(self, step: Step, mission: Mission) -> None:
+    def show(self, step: Step, mission: Mission, images: Sequence[LiveImage]) -> None:
         """Show a step, which has been collected, of a mission with the interventions so far."""
         self._show_state(step, mission)
         values = np.maximum(np.array(self._curves), MIN_SHOWN)
         self._plot.data = (np.array(self._times_s), values[:, 0], values[:, 1])
         self._grab.show(step, mission)
-        dead = mission.scenario.dead_units(step.time_s)
         if monotonic() - self._refreshed_s > REFRESH_S:
             self._refreshed_s = monotonic()
-            for sliders in (*self._team, *self._units):
-                sliders.show(step, mission)
-            for unit, button in enumerate(self._lives):
-                button.label = f"{'Revive' if unit in dead else 'Kill'} unit {unit}"
-        for unit in dead:
-            self._frames.pop(unit, None)
-            self._pictures[unit].show_dead()
-        if self._frames:
-            unit = next(iter(self._frames))
-            self._pictures[unit].show(self._frames.pop(unit), step, mission)
+            self._show_values(step, mission)
+        for image in images:
+            self._pictures[image.unit].image = image.titled
+
+    def _show_values(self, step: Step, mission: Mission) -> None:
+        """Show the present values of the sliders, and who is dead."""
+        self._team.show_values(step, mission)
+        for sliders in self._units:
+            sliders.show(step, mission)
+        dead = mission.scenario.dead_units(step.time_s)
+        for unit, button in enumerate(self._lives):
+            button.label = f"{'Revive' if unit in dead else 'Kill'} unit {unit}"
 
     def _show_state(self, step: Step, mission: Mission) -> None:
         """Show time, shape error and notices."""
@@ -165,22 +164,20 @@ class Panel:
         self._list.content = "\n".join(f"- {escaped(event)}" for event in self._events) or "none yet"
 
     def _add_transport(self) -> None:
-        gui, session = self._gui, self._session
+        gui, session, button = self._gui, self._session, self._controls.button
         self._state = gui.add_markdown("")
-        self._pause = self._button("Pause (P)", lambda: session.ask(Pause(not session.is_paused)))
-        self._button("Single step (N)", lambda: session.ask(SingleStep()))
+        self._pause = button("Pause (P)", lambda: session.ask(Pause(not session.is_paused)))
+        button("Single step (N)", lambda: session.ask(SingleStep()))
+        self._undo = button(
+            "Undo (Z)", lambda: session.ask(Undo()), "restore what was before the last change"
+        )
         names = list(SPEEDS)
         now = next(name for name, factor in SPEEDS.items() if factor == session.speed)
-        self._speed = speed = gui.add_dropdown(
-            "speed", names, initial_value=now, hint="simulated seconds in a second"
+        hint = "simulated seconds in a second"
+        self._speed = speed = self._controls.known(
+            gui.add_dropdown("speed", names, initial_value=now, hint=hint)
         )
-        self._known(speed).on_update(lambda _: session.ask(SetSpeed(SPEEDS[speed.value])))
-        self._undo = self._button("Undo (Z)", lambda: session.ask(Undo()))
-        self._button("Save as scenario (S)", lambda: session.ask(Save()))
-        seed = gui.add_number("seed", session.seed, min=0, max=MAX_SEED, step=1)
-        self._known(seed)
-        self._button("Restart (R)", lambda: session.ask(Restart(int(seed.value))))
-        self._seed = seed
+        speed.on_update(lambda _: session.ask(SetSpeed(SPEEDS[speed.value])))
 
     def _add_displays(self) -> None:
         gui = self._gui
@@ -193,60 +190,41 @@ class Panel:
                 {"label": "cost V, m²", "stroke": INK, "width": 2, "dash": (6, 4)},
             ),
             scales={"x": {"time": False}, "y": {"distr": 3, "log": 10}},
-            height=210,
+            height=CURVE_PX,
             padding=(8, 24, 0, 0),
         )
         with gui.add_folder("Interventions"):
             self._list = gui.add_markdown("none yet")
 
-    def _add_picture(self, mission: Mission, unit: int) -> "UnitPicture":
+    def _add_saving(self) -> None:
+        session, button = self._session, self._controls.button
+        with self._gui.add_folder("Save and restart"):
+            button(
+                "Save as scenario (S)",
+                lambda: session.ask(Save()),
+                "in a new file, for `skyherd run`",
+            )
+            seed = self._controls.known(
+                self._gui.add_number("seed", session.seed, min=0, max=MAX_SEED, step=1)
+            )
+            button("Restart (R)", lambda: session.ask(Restart(int(seed.value))), "without interventions")
+        self._seed = seed
+
+    def _add_unit(self, unit: int, image: RgbImage) -> "viser.GuiImageHandle":
+        """Add the image and the controls of a unit; return the node of the image."""
         with self._gui.add_folder(f"unit {unit}"):
-            picture = UnitPicture(self._gui, mission, unit)
-            with self._gui.add_folder(f"change unit {unit}", expand_by_default=unit == 0):
-                quantities = unit_quantities(mission, unit)
-                self._units.append(Sliders(self._gui, self._allowed, self._session, quantities, unit))
-                self._lives.append(self._button(f"Kill unit {unit}", lambda: self._kill_or_revive(unit)))
-        return picture
+            node = self._gui.add_image(image, label=None, format="jpeg", jpeg_quality=80)
+            with self._gui.add_folder(f"change unit {unit}", expand_by_default=False):
+                quantities = unit_quantities(self._session.mission, unit)
+                self._units.append(Sliders(self._controls, self._session, quantities, unit))
+                self._lives.append(
+                    self._controls.button(f"Kill unit {unit}", lambda: self._kill_or_revive(unit))
+                )
+        return node
 
     def _kill_or_revive(self, unit: int) -> None:
         kind = self._lives[unit].label.split()[0].lower()
         self._session.ask(Change(({"kind": kind, "unit": unit},)))
-
-    def _add_move(self) -> None:
-        """Add the choice of what the handle in the scene moves; a click on an object chooses it, too."""
-        with self._gui.add_folder("Move"):
-            chosen = self._gui.add_dropdown(
-                "handle at", self._grab.choices, hint="or click on it in the scene"
-            )
-            self._known(chosen).on_update(lambda _: self._grab.choose(chosen.value))
-        self.choose: Callable[[str], None] = lambda choice: setattr(chosen, "value", choice)
-
-    def _add_shape(self) -> None:
-        gui, session = self._gui, self._session
-        with gui.add_folder("Shape"):
-            shape = self._known(gui.add_dropdown("shape", sorted(SHAPES)))
-            self._form = self._button("Form the shape", lambda: session.ask(shape_change(shape.value)))
-            word = self._known(gui.add_text("word", "", hint="letters that the robots write, such as SKY"))
-            self._write = self._button("Write the word", lambda: session.ask(word_change(word.value)))
-            self._word = word
-
-    def _add_marker(self) -> None:
-        gui, session = self._gui, self._session
-        mission = session.mission
-        markers = [str(marker) for marker in (*mission.ids.tolist(), *mission.obstacle_ids.tolist())]
-        with gui.add_folder("Cover a marker"):
-            marker = self._known(gui.add_dropdown("marker", markers))
-            self._cover = self._button("Cover", lambda: session.ask(cover_change(marker.value)))
-            self._uncover = self._button("Uncover", lambda: session.ask(uncover_change(marker.value)))
-
-    def _add_team(self, mission: Mission) -> list[Sliders]:
-        added = []
-        gains = GAINS[mission.scenario.control.gains]
-        for title, quantities in (("Radio", RADIO), ("Gains", gains)):
-            if title == "Radio" or mission.scenario.control.method == "similarity":
-                with self._gui.add_folder(title):
-                    added.append(Sliders(self._gui, self._allowed, self._session, quantities))
-        return added
 
     def _add_keys(self) -> None:
         session = self._session
@@ -258,90 +236,4 @@ class Panel:
             ("R", "Restart", lambda: session.ask(Restart(int(self._seed.value)))),
         )
         for key, label, act in keys:
-            self._gui.add_command(label, hotkey=key).on_trigger(_ignoring_event(act))
-
-    def _button(self, label: str, act: Callable[[], None]) -> "viser.GuiButtonHandle":
-        button = self._gui.add_button(label, color=BUTTON)
-        button.on_click(_ignoring_event(act))
-        self._allowed.register(button)
-        return button
-
-    def _known(self, handle: Any) -> Any:
-        """Register a control with the filter of messages, and return it."""
-        self._allowed.register(handle)
-        return handle
-
-
-def shape_change(shape: str) -> Change:
-    """Return the request for a named shape or a word."""
-    return Change(({"kind": "template", "shape": shape},))
-
-
-def word_change(word: str) -> Change:
-    """Return the request for a word, in capitals."""
-    return shape_change(f"word:{word.upper()}")
-
-
-def cover_change(marker: str) -> Change:
-    """Return the request to cover a marker."""
-    return Change(({"kind": "cover", "marker": int(marker)},))
-
-
-def uncover_change(marker: str) -> Change:
-    """Return the request to uncover a marker."""
-    return Change(({"kind": "cover", "marker": int(marker), "covered": False},))
-
-
-def _ignoring_event(act: Callable[[], None]) -> Callable[[object], None]:
-    """Return a function that ignores the event which it is called with."""
-    return lambda event: act()
-
-
-class UnitPicture:
-    """Image of one unit in the panel, with its detections, goals and the shape as the unit sees it."""
-
-    def __init__(self, gui: "viser.GuiApi", mission: Mission, unit: int) -> None:
-        self._unit = unit
-        size_px = mission.scenario.units[unit].camera.size_px
-        height_px = TITLE_PX + round(PICTURE_PX * size_px[1] / size_px[0])
-        self._canvas = np.full((height_px, PICTURE_PX, 3), 255, np.uint8)
-        radius, sizes = mission.scenario.selection.radius, BodySizes.of(mission)
-        self._panel = CameraPanel(unit, self._canvas, size_px, radius, sizes)
-        self._node = gui.add_image(self._canvas, label=None, format="jpeg", jpeg_quality=80)
-
-    def show(self, frame: UnitFrame, step: Step, mission: Mission) -> None:
-        """Show an image and the unit's decision."""
-        shape = mission.shape_at(step.time_s, step.roles)
-        lines: list[Array] = outline_px(frame.decision, shape, mission.outline_at(step.time_s))
-        sets: ControlSets = step.control_sets
-        self._panel.draw(frame, sets, outline_px=lines)
-        self._node.image = self._canvas
-
-    def show_dead(self) -> None:
-        """Show that the unit is dead."""
-        self._panel.draw_dead()
-        self._node.image = self._canvas
-
-
-def describe(intervention: Intervention) -> str:
-    """Return an intervention in a few words."""
-    given = intervention.model_dump(mode="json", exclude_none=True)
-    kind = given.pop("kind")
-    del given["at_s"]
-    target = next((f" {key} {given.pop(key)}" for key in ("unit", "robot", "marker") if key in given), "")
-    names = ", ".join(f"{key} {shown(value)}" for key, value in given.items())
-    return f"{kind}{target if kind not in target else target.removeprefix(f' {kind}')} {names}".strip()
-
-
-def shown(value: Any) -> str:
-    """Return a value as short text."""
-    if isinstance(value, list):
-        return f"({', '.join(map(shown, value))})" if len(value) < 4 else f"{len(value)} items"
-    if isinstance(value, dict):
-        return " ".join(f"{key} {shown(one)}" for key, one in value.items() if one)
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def escaped(text: str) -> str:
-    """Return a text without characters that Markdown would read as markup."""
-    return "".join(" " if character in "`*_<>[]|\\#$!~\n" else character for character in text)
+            self._gui.add_command(label, hotkey=key).on_trigger(ignoring_event(act))

@@ -8,9 +8,9 @@ WAIT_S = 20.0
 """Time for a browser or the loop to do something, s. Chosen: a hundred times as long as it takes alone."""
 
 
-def wait_until(condition):
+def wait_until(condition, wait_s=WAIT_S):
     """Wait until a condition is true."""
-    end_s = time.monotonic() + WAIT_S
+    end_s = time.monotonic() + wait_s
     while not condition():
         assert time.monotonic() < end_s, "nothing happened"
         time.sleep(0.02)

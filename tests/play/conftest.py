@@ -3,6 +3,8 @@
 import shutil
 import threading
 from contextlib import closing, contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
@@ -68,3 +70,25 @@ def gl_browser(browser):
             yield window
 
     return make
+
+
+class QuietHandler(SimpleHTTPRequestHandler):
+    """Handler that logs nothing."""
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture
+def foreign_page(tmp_path):
+    """Serve an empty page on another port, and return its address."""
+    folder = tmp_path / "foreign"
+    folder.mkdir()
+    (folder / "index.html").write_text("<!doctype html><title>foreign</title>")
+    handler = partial(QuietHandler, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}/"
+        server.shutdown()
+        thread.join()

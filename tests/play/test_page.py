@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import viser
 from play_pages import wait_until
 
 from skyherd.datasets import load_mission, read_interventions
 from skyherd.markers.dictionary import marker_cells
+from skyherd.play.access import Access
 from skyherd.play.pictures import ground_picture, marker_picture
 from skyherd.play.poses import VIEW_FOV_RAD, Window, field_of_view_rad, view_of, wxyz_about_z, wxyz_of
 from skyherd.play.scene import corners_m
@@ -139,3 +141,71 @@ class TestBrowser:
             window.keyboard.press("p")
             wait_until(lambda: page.session.is_paused)
             assert window.get_by_text("share", exact=False).count() == 0
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("size_px", [(1280, 800), (390, 844)])
+    def test_window_of_any_size_begins_with_the_whole_team(self, open_page, gl_browser, size_px):
+        with open_page(speed=1.0) as page, gl_browser(page.access.url, *size_px) as window:
+            window.get_by_role("button", name="Pause (P)").wait_for()
+            wait_until(lambda: page.server.get_clients())
+            (client,) = page.server.get_clients().values()
+            place, _ = view_of(corners_m(page.session.mission), Window.of(*size_px))
+            wait_until(lambda: np.allclose(client.camera.position, place, rtol=1e-4))
+            widths = window.evaluate("[document.documentElement.scrollWidth, window.innerWidth]")
+            assert widths[0] <= widths[1]
+
+    @pytest.mark.slow
+    def test_zoom_slider_changes_the_zoom_and_the_shape_is_reached(self, open_page, gl_browser):
+        with open_page(speed=4.0) as page, gl_browser(page.access.url) as window:
+            session = page.session
+            window.get_by_role("tab", name="Cameras").click()
+            window.get_by_text("change unit 0").click()
+            window.get_by_role("slider").nth(1).press("End")
+            wait_until(lambda: session.added)
+            assert session.added[-1].zoom == 2.5
+            wait_until(lambda: session._step.fleet.zooms[0] == 2.5)
+            goal = session.mission.scenario.goal.shape_error
+            wait_until(lambda: session._step.metrics.shape.error < goal, wait_s=60)
+            window.get_by_role("tab", name="Run").click()
+            window.get_by_text("shape reached").wait_for()
+            window.get_by_text("camera unit 0 zoom 2.5").wait_for()
+
+    @pytest.mark.slow
+    def test_page_of_foreign_origin_is_refused(self, open_page, gl_browser, foreign_page, monkeypatch):
+        """It is on another port of this computer, so that the browser sends the cookie, too."""
+        with open_page(speed=1.0) as page, gl_browser(page.access.url) as window:
+            window.get_by_role("button", name="Pause (P)").wait_for()
+            wait_until(lambda: len(page.server.get_clients()) == 1)
+            own = page.access.url.partition("/?")[0]
+            assert window.evaluate(ATTEMPTS, own) == {"socket": "opened", "text": 200}
+            window.goto(foreign_page)
+            wait_until(lambda: not page.server.get_clients())
+            asked = refusals(monkeypatch)
+            assert window.evaluate(ATTEMPTS, own) == {"socket": "refused", "text": "refused"}
+            assert [reason for _, reason in asked] == ["foreign origin"] * 2
+            assert all(page.access.token in headers["Cookie"] for headers, _ in asked)
+
+
+def refusals(monkeypatch):
+    """Return the list that receives headers and outcome of each request."""
+    found, refusal = [], Access.refusal
+
+    def spy(access, headers, *, is_socket):
+        found.append((headers, refusal(access, headers, is_socket=is_socket)))
+        return found[-1][1]
+
+    monkeypatch.setattr(Access, "refusal", spy)
+    return found
+
+
+ATTEMPTS = f"""async own => {{
+    const socket = await new Promise(done => {{
+        const one = new WebSocket(own.replace("http", "ws"), "viser-v{viser.__version__}");
+        one.onopen = () => {{ one.close(); done("opened"); }};
+        one.onerror = () => done("refused");
+    }});
+    const read = fetch(own + "/", {{credentials: "include"}});
+    const text = await read.then(answer => answer.status, () => "refused");
+    return {{socket, text}};
+}}"""
+"""Script that tries to open a WebSocket of the page at an address, and to read it."""

@@ -32,7 +32,7 @@ DEAD = (150, 150, 150)
 UNIT_SIZE = 0.06
 """Arm of a multicopter over its height above the ground. Chosen: visible, far below the units' distances."""
 
-FRUSTUM_SIZE = 0.17
+FRUSTUM_SIZE = 0.12
 """Size of a frustum over the unit's height. Chosen: the image is legible, and frustums do not overlap."""
 
 

@@ -12,7 +12,7 @@ from skyherd.render import Camera
 VIEW_FOV_RAD = np.radians(40.0)
 """Vertical field of view of the observer, rad. Chosen: little perspective, so that distances compare."""
 
-VIEW_DOWN_RAD = np.radians(36.0)
+VIEW_DOWN_RAD = np.radians(32.0)
 """Angle of the first view below the horizon, rad. Chosen: the units are above the robots in the picture."""
 
 PHONE_PX = 576
@@ -66,10 +66,6 @@ class Window:
         if width_px <= PHONE_PX:
             return cls(aspect, (-0.92, 0.92), (0.24, 0.92))
         return cls(aspect, (-0.95, 1 - 2 * 350 / width_px), (-0.92, 0.92))
-
-
-DESKTOP = Window.of(1280, 800)
-"""Window of a laptop."""
 
 
 def view_of(points_m: Array | Sequence[Place], window: Window) -> tuple[Place, Place]:

@@ -21,7 +21,6 @@ from skyherd.play.bodies import DEAD, UNIT_SIZE, Bodies
 from skyherd.play.lines import CIRCLE_SEGMENTS, Lines, chain, circles, lifted
 from skyherd.play.pictures import LiveImage, ground_picture
 from skyherd.play.poses import (
-    DESKTOP,
     FACE_UP,
     VIEW_FOV_RAD,
     Window,
@@ -30,6 +29,7 @@ from skyherd.play.poses import (
     wxyz_about_z,
     wxyz_of,
 )
+from skyherd.play.server import set_first_view
 from skyherd.render import rotation_camera_world
 
 if TYPE_CHECKING:
@@ -85,20 +85,14 @@ class Scene:
         for unit, nodes in enumerate(self._units):
             nodes.painted[0].on_click(clicking(choose, f"unit {unit}"))
         self._corners_m = corners_m(mission)
-        first = server.initial_camera
-        first.fov = VIEW_FOV_RAD
-        first.position, first.look_at = view_of(self._corners_m, DESKTOP)
-        server.on_client_connect(self._frame)
+        server.initial_camera.fov = VIEW_FOV_RAD
+        server.on_client_connect(self._set_view)
 
-    def _frame(self, client: "viser.ClientHandle") -> None:
+    def _set_view(self, client: "viser.ClientHandle") -> None:
         """Show the whole team in the free part of a browser's window."""
-        camera = client.camera
-        if camera.image_width > 0 and camera.image_height > 0:
-            with client.atomic():
-                place, looked_at = view_of(
-                    self._corners_m, Window.of(camera.image_width, camera.image_height)
-                )
-                camera.position, camera.look_at = place, looked_at
+        width_px, height_px = client.camera.image_width, client.camera.image_height
+        if width_px > 0 and height_px > 0:
+            set_first_view(client, *view_of(self._corners_m, Window.of(width_px, height_px)))
 
     def clear(self) -> None:
         """Forget the traces of the run before."""

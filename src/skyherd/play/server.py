@@ -9,11 +9,13 @@ from typing import Any
 
 import viser
 import websockets.asyncio.server as web
+from viser._messages import SetCameraLookAtMessage, SetCameraPositionMessage
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from skyherd.play.access import Access
 from skyherd.play.messages import MAX_BYTES, MessageFilter
+from skyherd.play.poses import Place
 
 MAX_REFUSED = 20
 """Refused messages after which a connection is closed. Chosen: the page sends none."""
@@ -59,6 +61,22 @@ def stop_server(server: viser.ViserServer) -> None:
         server.stop()
         if server._websock_server._server_thread is not None:
             server._websock_server._server_thread.join(STOP_S)
+
+
+def set_first_view(client: viser.ClientHandle, place: Place, looked_at: Place) -> None:
+    """Set the view that a browser begins with, and returns to by its command *Reset View*.
+
+    viser's `initial_camera` is the same for all windows, and is applied after values of `client.camera`.
+
+    Args:
+        client: the browser.
+        place: place of the observer, m.
+        looked_at: point in the middle of the window, m.
+    """
+    with client.atomic():
+        send = client._websock_connection.queue_message
+        send(SetCameraPositionMessage(place, initial=True))
+        send(SetCameraLookAtMessage(looked_at, initial=True))
 
 
 @contextmanager

@@ -4,13 +4,14 @@ import asyncio
 import http.client
 import random
 import socket
-from contextlib import closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 
 import msgspec
 import pytest
 import viser
 import websockets
+from play_pages import wait_until
 
 from skyherd.errors import InputError
 from skyherd.play.access import Access, bind
@@ -101,6 +102,24 @@ def connect(access, **changed):
     )
 
 
+def upgrade(access):
+    """Return the request of a WebSocket by the page itself, as bytes."""
+    host = f"127.0.0.1:{access.port}"
+    sent = {
+        "Host": host,
+        "Origin": f"http://{host}",
+        "Cookie": f"{access.cookie}={access.token}",
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+        "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
+    }
+    return "\r\n".join(
+        ["GET / HTTP/1.1", *(f"{key}: {value}" for key, value in sent.items()), "", ""]
+    ).encode()
+
+
 class TestServer:
     def test_page_needs_the_token(self, open_page):
         with open_page() as page:
@@ -174,6 +193,34 @@ class TestServer:
 
             asyncio.run(press())
             assert page.session.is_paused
+
+    def test_browsers_that_read_nothing_do_not_hold_the_loop(self, open_page):
+        with open_page() as page, ExitStack() as stack:
+            for _ in range(3):
+                browser = stack.enter_context(socket.create_connection(("127.0.0.1", page.access.port)))
+                browser.sendall(upgrade(page.access))
+                assert b"101" in browser.recv(20)
+            wait_until(lambda: page._step is not None)
+            time_s = page._step.time_s
+            wait_until(lambda: page._step.time_s > time_s + 20)
+
+    @pytest.mark.parametrize(
+        "raw", [b"", b"\x00" * 999, b"GET / HTTP/9\r\n\r\n", b"GET " + b"x" * 10**6], ids=len
+    )
+    def test_malformed_request_does_not_hold_the_loop(self, open_page, raw, capfd):
+        with open_page() as page:
+            with closing(socket.create_connection(("127.0.0.1", page.access.port))) as attacker:
+                with suppress(OSError):
+                    attacker.sendall(raw)
+                    attacker.shutdown(socket.SHUT_WR)
+                attacker.settimeout(10)
+                with suppress(ConnectionError):
+                    assert b"200" not in attacker.recv(4096)[:20]
+            wait_until(lambda: page._step is not None)
+            time_s = page._step.time_s
+            wait_until(lambda: page._step.time_s > time_s)
+        said = capfd.readouterr()
+        assert "Traceback" not in said.out + said.err
 
     def test_connection_of_an_attacker_is_closed(self, open_page):
         with open_page(speed=1.0) as page:

@@ -20,7 +20,7 @@ from skyherd.play.server import start_server, stop_server
 from skyherd.play.session import End, Session
 
 DRAWING_SHARE = 0.2
-"""Share of its time for which the drawing thread works. Chosen: the loop keeps 0.9 of its rate on two cores
+"""Share of its time for which the drawing thread works. Chosen: the loop keeps 0.8 of its rate on two cores
 (`benchmarks/play.py`)."""
 
 MIN_INTERVAL_S = 1 / 30

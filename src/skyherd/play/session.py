@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from time import monotonic
+from typing import Self
 
 from skyherd.datasets import (
     Intervention,
@@ -158,7 +159,7 @@ class Session:
         seed: int | None = None,
         folder: Path,
         speed: float | None = 1.0,
-    ) -> "Session":
+    ) -> Self:
         """Open a built-in scenario or a TOML file, with settings as `load_mission` takes them.
 
         Raises:

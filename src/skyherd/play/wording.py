@@ -26,4 +26,4 @@ def shown(value: Any) -> str:
 
 def escaped(text: str) -> str:
     """Return a text without characters that Markdown would read as markup."""
-    return "".join(" " if character in "`*_<>[]|\\#$!~\n" else character for character in text)
+    return "".join(" " if character in "`*<>[]|\\#$!~\n" else character for character in text)

@@ -41,6 +41,7 @@ VERBS = [
     [],
     ["run"],
     ["play"],
+    ["view"],
     ["report"],
     ["topology"],
     ["detect"],

@@ -30,6 +30,7 @@ VERBS = {
         {"": TEXTS, "--seed": NUMERALS, "--set": TEXTS, "--perception": TEXTS, "--out": TEXTS,
          "--host": TEXTS, "--port": NUMERALS}, ()
     ),
+    ("view",): ({"": TEXTS, "--html": TEXTS, "--host": TEXTS, "--port": NUMERALS}, ("--force",)),
     ("report",): ({"": TEXTS}, ()),
     ("topology",): ({"": TEXTS, "--out": TEXTS}, ("--force",)),
     ("detect",): (

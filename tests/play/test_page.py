@@ -44,7 +44,7 @@ class TestScene:
             wait_until(lambda: page._panel._events)
             page.session.ask(Restart(2))
             wait_until(lambda: page.session.seed == 2 and not page._panel._events)
-            assert 0 < len(page._scene._past_m) <= len(page._panel._times_s) < 100
+            assert 0 < len(page._scene._past_m) <= len(page._panel._curves) < 100
 
     def test_images_are_shown_of_every_camera(self, open_page):
         with open_page("triangle", ["units.*.camera.size_px=[120,80]"]) as page:

@@ -36,6 +36,7 @@ from skyherd.cli.scenario import scenario_app
 from skyherd.cli.study import study
 from skyherd.cli.topology import topology
 from skyherd.cli.track import track
+from skyherd.cli.view import view
 from skyherd.errors import InputError, SkyherdError
 from skyherd.version import __version__
 
@@ -67,6 +68,7 @@ SIMULATE, MEASURE, STEER, DATA = "Simulate", "Detect and measure", "Steer real r
 
 app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(run)
 app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(play)
+app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(view)
 app.add_typer(scenario_app, name="scenario", cls=HelpGroup, rich_help_panel=SIMULATE)
 app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(topology)
 app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(study)

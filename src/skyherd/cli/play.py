@@ -8,7 +8,7 @@ import typer
 from skyherd.cli.choices import PERCEPTIONS, complete_perception, complete_scenario
 from skyherd.cli.console import say, warn
 from skyherd.cli.interrupts import telling_of_interrupts
-from skyherd.cli.options import ScenarioSettings
+from skyherd.cli.options import PageHost, PagePort, ScenarioSettings
 from skyherd.errors import InputError
 
 DEFAULT_PORT = 8440
@@ -41,13 +41,8 @@ def play(
     out_dir: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Save scenarios into this existing folder.")
     ] = Path("."),
-    port: Annotated[
-        int, typer.Option(metavar="N", min=0, max=65535, help="Port of the page; 0 for any free one.")
-    ] = DEFAULT_PORT,
-    host: Annotated[
-        str,
-        typer.Option(metavar="ADDRESS", help="Address of the page. Others than this computer can reach."),
-    ] = LOOPBACK,
+    port: PagePort = DEFAULT_PORT,
+    host: PageHost = LOOPBACK,
 ) -> int:
     """Show and disturb a running simulation in the browser.
 
@@ -59,7 +54,7 @@ def play(
 
     if perception is not None and perception not in PERCEPTIONS:
         raise InputError("--perception", f"{perception!r}", f"one of {', '.join(PERCEPTIONS)}")
-    require_viser()
+    require_viser("play")
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
     session = Session.open(scenario, chosen, seed=seed, folder=out_dir)
     with bind(host, port) as listener:

@@ -8,14 +8,12 @@ from collections.abc import Callable, Sequence
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from skyherd.datasets import Mission
-from skyherd.drawing.palette import INK, TEMPLATE_COLOR
 from skyherd.geometry import RgbImage
 from skyherd.loop import Step
 from skyherd.play.buttons import Controls, ignoring_event
 from skyherd.play.controls import Sliders, unit_quantities
+from skyherd.play.curves import Curves
 from skyherd.play.grab import Grab
 from skyherd.play.messages import MessageFilter
 from skyherd.play.pictures import LiveImage
@@ -30,7 +28,7 @@ from skyherd.play.session import (
     Undo,
 )
 from skyherd.play.team_tab import TeamTab
-from skyherd.play.wording import describe, escaped
+from skyherd.play.wording import describe, escaped, state_line
 
 if TYPE_CHECKING:
     import viser
@@ -50,15 +48,6 @@ SPEEDS: dict[str, float | None] = {
 
 MAX_SEED = 2**31 - 1
 """Greatest seed that can be typed. Chosen: exact in JavaScript."""
-
-CURVE_POINTS = 400
-"""Points of the curves. Chosen: one for each pixel of the panel."""
-
-CURVE_PX = 190
-"""Height of the curves, px. Chosen: they are seen without scrolling on a phone."""
-
-MIN_SHOWN = 1e-5
-"""Smallest value in the curves with their logarithmic axis. Chosen: far below any goal."""
 
 EVENTS_SHOWN = 8
 """Events that are listed. Chosen: fit beside the curves."""
@@ -86,8 +75,6 @@ class Panel:
     ) -> None:
         self._gui, self._session = server.gui, session
         self._controls = Controls(server.gui, allowed)
-        self._times_s: deque[float] = deque()
-        self._curves: deque[tuple[float, float]] = deque()
         self._events: deque[str] = deque(maxlen=EVENTS_SHOWN)
         self._refreshed_s = 0.0
         self._notice = ""
@@ -111,7 +98,6 @@ class Panel:
 
     def clear(self) -> None:
         """Forget the curves and events of the run before."""
-        self._times_s.clear()
         self._curves.clear()
         self._events.clear()
         self._notice = ""
@@ -122,19 +108,14 @@ class Panel:
 
     def collect(self, step: Step) -> None:
         """Keep what the displays need of a step that is not shown."""
-        self._times_s.append(step.time_s)
-        self._curves.append((step.metrics.shape.error, step.metrics.V))
-        if len(self._times_s) > 2 * CURVE_POINTS:
-            self._times_s = deque(list(self._times_s)[::2])
-            self._curves = deque(list(self._curves)[::2])
+        self._curves.collect(step)
         for intervention in step.interventions:
             self._events.appendleft(f"{intervention.at_s:.1f} s: {describe(intervention)}")
 
     def show(self, step: Step, mission: Mission, images: Sequence[LiveImage]) -> None:
         """Show a step, which has been collected, of a mission with the interventions so far."""
         self._show_state(step, mission)
-        values = np.maximum(np.array(self._curves), MIN_SHOWN)
-        self._plot.data = (np.array(self._times_s), values[:, 0], values[:, 1])
+        self._curves.show()
         self._grab.show(step, mission)
         if monotonic() - self._refreshed_s > REFRESH_S:
             self._refreshed_s = monotonic()
@@ -156,10 +137,7 @@ class Panel:
         session = self._session
         self._pause.label = "Continue (P)" if session.is_paused else "Pause (P)"
         self._undo.disabled = not session.can_undo
-        error = step.metrics.shape.error
-        state = "paused" if session.is_paused else "running"
-        reached = " · **shape reached**" if error < mission.scenario.goal.shape_error else ""
-        lines = [f"**{step.time_s:.1f} s** · {state} · shape error **{100 * error:.2g} %**{reached}"]
+        lines = [state_line(step, mission, "paused" if session.is_paused else "running")]
         self._state.content = "\n\n".join([*lines, *([f"`{escaped(self._notice)}`"] if self._notice else [])])
         self._list.content = "\n".join(f"- {escaped(event)}" for event in self._events) or "none yet"
 
@@ -181,18 +159,7 @@ class Panel:
 
     def _add_displays(self) -> None:
         gui = self._gui
-        empty = np.array([0.0, 1.0])
-        self._plot = gui.add_uplot(
-            (empty, empty, empty),
-            (
-                {"label": "time, s"},
-                {"label": "shape error", "stroke": TEMPLATE_COLOR, "width": 2},
-                {"label": "cost V, m²", "stroke": INK, "width": 2, "dash": (6, 4)},
-            ),
-            scales={"x": {"time": False}, "y": {"distr": 3, "log": 10}},
-            height=CURVE_PX,
-            padding=(8, 24, 0, 0),
-        )
+        self._curves = Curves(gui)
         with gui.add_folder("Interventions"):
             self._list = gui.add_markdown("none yet")
 

@@ -59,10 +59,12 @@ class Scene:
     Args:
         server: server of the page.
         mission: mission at its start.
-        choose: function that is called with `robot ID` or `unit NUMBER` when one is clicked.
+
+    Attributes:
+        corners_m: (N, 3) points around the robots, obstacles and units at the start.
     """
 
-    def __init__(self, server: "viser.ViserServer", mission: Mission, choose: Callable[[str], None]) -> None:
+    def __init__(self, server: "viser.ViserServer", mission: Mission) -> None:
         self._server, self._scene = server, server.scene
         self._side_m = mission.scenario.marker.side_m
         self._ids = mission.ids
@@ -76,23 +78,27 @@ class Scene:
         bodies = Bodies(self._scene, mission)
         bodies.add_obstacles()
         self._robots: list[viser.FrameHandle] = []
+        self._clickable: list[tuple[str, viser.BoxHandle | viser.ImageHandle]] = []
         for robot in mission.ids.tolist():
             node, clickable = bodies.add_robot(robot)
             self._robots.append(node)
-            for part in clickable:
-                part.on_click(clicking(choose, f"robot {robot}"))
+            self._clickable += [(f"robot {robot}", part) for part in clickable]
         self._units = [bodies.add_unit(unit) for unit in range(len(mission.scenario.units))]
-        for unit, nodes in enumerate(self._units):
-            nodes.painted[0].on_click(clicking(choose, f"unit {unit}"))
-        self._corners_m = corners_m(mission)
+        self._clickable += [(f"unit {unit}", nodes.painted[0]) for unit, nodes in enumerate(self._units)]
+        self.corners_m = corners_m(mission)
         server.initial_camera.fov = VIEW_FOV_RAD
         server.on_client_connect(self._set_view)
+
+    def on_click(self, choose: Callable[[str], None]) -> None:
+        """Call a function with `robot ID` or `unit NUMBER` when one is clicked."""
+        for name, node in self._clickable:
+            node.on_click(clicking(choose, name))
 
     def _set_view(self, client: "viser.ClientHandle") -> None:
         """Show the whole team in the free part of a browser's window."""
         width_px, height_px = client.camera.image_width, client.camera.image_height
         if width_px > 0 and height_px > 0:
-            set_first_view(client, *view_of(self._corners_m, Window.of(width_px, height_px)))
+            set_first_view(client, *view_of(self.corners_m, Window.of(width_px, height_px)))
 
     def clear(self) -> None:
         """Forget the traces of the run before."""

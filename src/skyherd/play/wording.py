@@ -1,8 +1,16 @@
-"""Text on the page: interventions in a few words, without markup of other sources."""
+"""Text on the page: the state, and interventions in a few words, without markup of other sources."""
 
 from typing import Any
 
-from skyherd.datasets import Intervention
+from skyherd.datasets import Intervention, Mission
+from skyherd.loop import Step
+
+
+def state_line(step: Step, mission: Mission, state: str) -> str:
+    """Return time, state and shape error of a step as one line of Markdown."""
+    error = step.metrics.shape.error
+    reached = " · **shape reached**" if error < mission.scenario.goal.shape_error else ""
+    return f"**{step.time_s:.1f} s** · {state} · shape error **{100 * error:.2g} %**{reached}"
 
 
 def describe(intervention: Intervention) -> str:

@@ -5,16 +5,23 @@ import http.client
 import random
 import socket
 from contextlib import ExitStack, closing, suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import msgspec
 import pytest
 import viser
 import websockets
 from play_pages import wait_until
+from viser._messages import (
+    SceneNodeClickMessage,
+    TransformControlsDragEndMessage,
+    TransformControlsDragStartMessage,
+    TransformControlsUpdateMessage,
+)
 
 from skyherd.errors import InputError
 from skyherd.play.access import Access, bind
+from skyherd.play.grab import NAME
 
 ACCESS = Access("127.0.0.1", 8440, "secret")
 COOKIE = "skyherd_play_8440=secret"
@@ -194,6 +201,39 @@ class TestServer:
             asyncio.run(press())
             assert page.session.is_paused
 
+    def test_messages_of_a_click_and_a_drag_move_the_robot(self, open_page):
+        """They have the form of viser's own messages."""
+        with open_page(speed=1.0) as page:
+            grab, number = page._panel._grab, page._scene._ids.tolist()[4]
+            turn, place = {"wxyz": (1.0, 0.0, 0.0, 0.0)}, {"position": (9.0, 1.0, 0.0)}
+            rays = {
+                "ray_origin": (0.0, 0.0, 9.0),
+                "ray_direction": (0.0, 0.0, -1.0),
+                "screen_pos": (0.5, 0.5),
+            }
+            click = SceneNodeClickMessage(f"/robots/{number}/card", None, modifier=None, **rays)
+            drag = [
+                TransformControlsDragStartMessage(NAME),
+                TransformControlsUpdateMessage(NAME, **turn, **place),
+                TransformControlsDragEndMessage(NAME),
+            ]
+
+            async def act():
+                async with connect(page.access) as browser:
+                    await browser.send(CAMERA)
+                    await browser.send(packed(click))
+                    while grab._held is None or not grab._held.node.visible:
+                        await asyncio.sleep(0.05)
+                    for message in drag:
+                        await browser.send(packed(message))
+                        await asyncio.sleep(0.1)
+                    while not page.session.added:
+                        await asyncio.sleep(0.05)
+
+            asyncio.run(asyncio.wait_for(act(), 20))
+            (change,) = page.session.added
+            assert (change.kind, change.robot, change.position_m) == ("robot", number, (9.0, 1.0))
+
     def test_browsers_that_read_nothing_do_not_hold_the_loop(self, open_page):
         with open_page() as page, ExitStack() as stack:
             for _ in range(3):
@@ -251,6 +291,11 @@ CAMERA = msgspec.msgpack.encode(
         "up_direction": [0, 0, 1],
     }
 )
+
+
+def packed(message):
+    """Return a message as viser's client sends it."""
+    return msgspec.msgpack.encode({"type": type(message).__name__, **asdict(message)})
 
 
 def update(handle, **updates):

@@ -158,6 +158,6 @@ class TestHtml:
             window.on("pageerror", lambda error: failed.append(error))
             window.goto(path.as_uri())
             window.locator("canvas").first.wait_for()
-            wait_until(lambda: len(asked) > 3)
+            window.wait_for_function("Number(document.querySelector('input').value) > 1")
             assert {url.partition(":")[0] for url in asked} <= {"file", "blob", "data"}
             assert not failed

@@ -22,6 +22,7 @@ from viser._messages import (
 from skyherd.errors import InputError
 from skyherd.play.access import Access, bind
 from skyherd.play.grab import NAME
+from skyherd.play.session import Pause
 
 ACCESS = Access("127.0.0.1", 8440, "secret")
 COOKIE = "skyherd_play_8440=secret"
@@ -167,20 +168,35 @@ class TestServer:
         with open_page() as page, pytest.raises(websockets.InvalidStatus, match="403"):
             asyncio.run(attack())
 
-    def test_hostile_messages_change_nothing(self, open_page, capfd):
-        """300 messages: malformed, oversized, unknown kinds, foreign controls, wrong values."""
-        with open_page(speed=1.0) as page:
-            before = page.session.added[:]
+    def test_hostile_messages_change_nothing(self, open_page, capfd, monkeypatch):
+        """300 messages: malformed, oversized, unknown kinds, foreign controls, wrong values.
+
+        The browser is registered by a valid message first; the last one is valid, too, as negative control.
+        """
+        with open_page(speed=1.0) as page, monkeypatch.context() as patch:
+            asked, seed = [], page._panel._seed.value
+            patch.setattr(page.session, "ask", asked.append)
 
             async def attack():
                 for some in chunks(hostile_messages(page), 15):
                     async with connect(page.access) as socket:
-                        for raw in some:
-                            await socket.send(raw)
+                        await socket.send(CAMERA)
+                        while not page.server.get_clients():
+                            await asyncio.sleep(0.02)
+                        with suppress(websockets.ConnectionClosed):
+                            for raw in some:
+                                await socket.send(raw)
+                    while page.server.get_clients():
+                        await asyncio.sleep(0.02)
+                assert asked == [] and page._panel._seed.value == seed
+                async with connect(page.access) as socket:
+                    await socket.send(CAMERA)
+                    await socket.send(update(page._panel._pause, value=True))
+                    while not asked:
+                        await asyncio.sleep(0.02)
 
-            asyncio.run(attack())
-            assert page.session.added == before and not page.session.is_paused
-            assert page.session.speed == 1.0 and page.server._share_tunnel is None
+            asyncio.run(asyncio.wait_for(attack(), 60))
+            assert asked == [Pause(True)] and page.server._share_tunnel is None
         said = capfd.readouterr()
         assert "Traceback" not in said.out + said.err
 
@@ -311,7 +327,8 @@ def hostile_messages(page):
     rng, panel = random.Random(4), page._panel
     kinds = ("ShareUrlRequest", "ShareUrlDisconnect", "FileTransferStartUpload", "GetRenderResponseMessage",
              "GuiFormSubmitMessage", "RemoveSceneNodeMessage", "__class__", "")  # fmt: skip
-    messages = [msgspec.msgpack.encode({"type": kind}) for kind in kinds]
+    messages = [update(panel._pause, value=True, label="x"), update(panel._pause)]
+    messages += [msgspec.msgpack.encode({"type": kind}) for kind in kinds]
     messages += [msgspec.msgpack.encode(value) for value in (None, 1, [], {}, "x", {"type": 3}, {"type": []})]
     messages += [b"\x91" * 20_000, b"\x91" * 5_000, b"\xdf\xff\xff\xff\xff", CAMERA[:-3], CAMERA * 9]
     wrong = (None, -1, 2**40, float("nan"), float("inf"), "x", "x" * 5000, [], {}, [1, 2])
@@ -319,7 +336,6 @@ def hostile_messages(page):
     messages += [update(panel._speed, value=value) for value in (*wrong[:5], "__class__", *wrong[7:])]
     messages += [update(panel._pause, value=value) for value in wrong]
     messages += [update(panel._pause, **{key: True}) for key in ("label", "_impl", "__class__", "disabled")]
-    messages += [update(panel._pause, value=True, label="x"), update(panel._pause)]
     camera = msgspec.msgpack.decode(CAMERA)
     messages += [msgspec.msgpack.encode({**camera, key: "x"}) for key in camera]
     messages += [

@@ -327,7 +327,9 @@ def hostile_messages(page):
     rng, panel = random.Random(4), page._panel
     kinds = ("ShareUrlRequest", "ShareUrlDisconnect", "FileTransferStartUpload", "GetRenderResponseMessage",
              "GuiFormSubmitMessage", "RemoveSceneNodeMessage", "__class__", "")  # fmt: skip
-    messages = [update(panel._pause, value=True, label="x"), update(panel._pause)]
+    # viser sets any attribute of a control that a message names.
+    messages = [update(panel._pause, value=True, update_cb=[]), update(panel._pause, update_cb=[])]
+    messages += [update(panel._pause, value=True, label="x"), update(panel._pause)]
     messages += [msgspec.msgpack.encode({"type": kind}) for kind in kinds]
     messages += [msgspec.msgpack.encode(value) for value in (None, 1, [], {}, "x", {"type": 3}, {"type": []})]
     messages += [b"\x91" * 20_000, b"\x91" * 5_000, b"\xdf\xff\xff\xff\xff", CAMERA[:-3], CAMERA * 9]

@@ -29,6 +29,8 @@ def test_each_problem_of_a_file_has_its_own_line(tmp_path, capsys):
         ),
         (["run", "star", "--seed", "-1"], ["error: --seed: -1; a whole number"]),
         (["play", "star", "--perception", "psychic"], ["--perception: 'psychic'; one of rendered"]),
+        (["play", "star", "--speed", "0"], ["--speed"]),
+        (["play", "star", "--speed", "nan"], ["--speed"]),
         (["play", "star", "--seed", "-1"], ["error: --seed: -1; a whole number"]),
         (["play", "star", "--host", "no-such-host.invalid"], ["no such address"]),
         (["dataset", "make", "small", "--images", "0"], ["error: --images: 0; a whole number from 1"]),

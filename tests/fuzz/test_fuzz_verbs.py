@@ -28,7 +28,7 @@ VERBS = {
     ),
     ("play",): (
         {"": TEXTS, "--seed": NUMERALS, "--set": TEXTS, "--perception": TEXTS, "--out": TEXTS,
-         "--host": TEXTS, "--port": NUMERALS}, ()
+         "--speed": NUMERALS, "--host": TEXTS, "--port": NUMERALS}, ()
     ),
     ("view",): ({"": TEXTS, "--html": TEXTS, "--host": TEXTS, "--port": NUMERALS}, ("--force",)),
     ("report",): ({"": TEXTS}, ()),

@@ -88,6 +88,12 @@ class TestGeometry:
         assert np.tan(field_of_view_rad(camera, 2.0) / 2) == pytest.approx(np.tan(np.radians(39.0)) / 2)
 
 
+@pytest.mark.parametrize(("speed", "name"), [(1.0, "1 ×"), (0.1, "0.1 ×"), (None, "as fast as possible")])
+def test_any_speed_of_the_command_line_is_shown(open_page, speed, name):
+    with open_page(speed=speed) as page:
+        assert page._panel._speed.value == name
+
+
 class TestView:
     @pytest.mark.parametrize("size_px", [(1280, 800), (1920, 1080), (390, 844), (800, 600)])
     @pytest.mark.parametrize("name", ["star", "handheld"])

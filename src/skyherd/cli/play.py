@@ -41,6 +41,9 @@ def play(
     out_dir: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Save scenarios into this existing folder.")
     ] = Path("."),
+    speed: Annotated[
+        float, typer.Option(metavar="X", min=0.01, max=100, help="Simulated seconds in a second.")
+    ] = 1.0,
     port: PagePort = DEFAULT_PORT,
     host: PageHost = LOOPBACK,
 ) -> int:
@@ -56,7 +59,7 @@ def play(
         raise InputError("--perception", f"{perception!r}", f"one of {', '.join(PERCEPTIONS)}")
     require_viser("play")
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
-    session = Session.open(scenario, chosen, seed=seed, folder=out_dir)
+    session = Session.open(scenario, chosen, seed=seed, folder=out_dir, speed=speed)
     with bind(host, port) as listener:
         access = Access.make(host, listener.getsockname()[1])
         from skyherd.play.page import Page

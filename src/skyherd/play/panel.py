@@ -149,13 +149,15 @@ class Panel:
         self._undo = button(
             "Undo (Z)", lambda: session.ask(Undo()), "restore what was before the last change"
         )
-        names = list(SPEEDS)
-        now = next(name for name, factor in SPEEDS.items() if factor == session.speed)
+        speeds = dict(SPEEDS)
+        if session.speed not in speeds.values():
+            speeds[f"{session.speed:g} ×"] = session.speed
+        now = next(name for name, factor in speeds.items() if factor == session.speed)
         hint = "simulated seconds in a second"
         self._speed = speed = self._controls.known(
-            gui.add_dropdown("speed", names, initial_value=now, hint=hint)
+            gui.add_dropdown("speed", list(speeds), initial_value=now, hint=hint)
         )
-        speed.on_update(lambda _: session.ask(SetSpeed(SPEEDS[speed.value])))
+        speed.on_update(lambda _: session.ask(SetSpeed(speeds[speed.value])))
 
     def _add_displays(self) -> None:
         gui = self._gui

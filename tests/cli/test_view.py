@@ -45,6 +45,7 @@ def test_html_file_is_written_once(here, capsys, run):
     [
         (["none"], "no such file"),
         (["."], "no such file"),
+        (["n" * 3000], "ame too long"),
         (["run", "--html", "a.txt"], "a name that ends in .html"),
         (["run", "--html", "none/a.html"], "no folder none"),
         (["run", "--host", "no-such-host.invalid"], "no such address"),

@@ -1,5 +1,6 @@
 """`skyherd view`: a recorded run in 3-D, on a page with a time bar or as one HTML file."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -34,7 +35,7 @@ def view(
     from skyherd.runner import RECORDING
 
     require_viser("view")
-    path = run / RECORDING if run.is_dir() else run
+    path = run / RECORDING if os.path.isdir(run) else run
     if html is not None and html.suffix.lower() != ".html":
         raise InputError("--html", f"{str(html)!r} is not an HTML file", "a name that ends in .html")
     output = None if html is None else OutputFile(html, "view", force=force, inputs=[path], option="--html")

@@ -64,9 +64,9 @@ class Quantity:
 CAMERA = (
     Quantity("zoom", "camera", "zoom", 0.5, 2.5, 0.01, hint="factor on the focal length"),
     Quantity("yaw, °", "unit", "yaw_deg", -180, 180, 1, hint="direction of the image's right side"),
-    Quantity("tilt about u, °", "unit", "tilt_deg", -30, 30, 0.5, 0),
-    Quantity("tilt about v, °", "unit", "tilt_deg", -30, 30, 0.5, 1),
-    Quantity("lens bend k1", "camera", "distortion", -0.3, 0.3, 0.01, "k1", "negative: barrel"),
+    Quantity("tilt about u, °", "unit", "tilt_deg", -30, 30, 0.5, part=0),
+    Quantity("tilt about v, °", "unit", "tilt_deg", -30, 30, 0.5, part=1),
+    Quantity("lens bend k1", "camera", "distortion", -0.3, 0.3, 0.01, part="k1", hint="negative: barrel"),
     Quantity("pixel aspect", "camera", "aspect", 0.8, 1.25, 0.01, hint="1 for square pixels"),
     Quantity("blur, px", "camera", "psf_px", 0.3, 4, 0.1),
     Quantity("noise, grey levels", "camera", "noise", 0, 40, 0.5),

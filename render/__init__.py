@@ -18,6 +18,7 @@ from skyherd.render.camera.camera import (
     footprint_m,
     homography_image_ground,
     project,
+    rotation_camera_world,
     undistort,
 )
 from skyherd.render.camera.fisheye import Equidistant
@@ -61,5 +62,6 @@ __all__ = [
     "project",
     "project_markers",
     "project_team",
+    "rotation_camera_world",
     "undistort",
 ]

@@ -33,12 +33,15 @@ HEAVY = (
     "rich",
     "dask",
     "pyarrow",
+    "viser",
 )
 """Modules that are slow to import, including rich: few verbs have progress bars and tables."""
 
 VERBS = [
     [],
     ["run"],
+    ["play"],
+    ["view"],
     ["report"],
     ["topology"],
     ["detect"],

@@ -4,7 +4,7 @@
 
 The pages are README, the documentation and the examples. A line is printed for each command, with its seconds
 and exit code. Output that a page shows is compared with the output that came. Commands run in a new
-environment with `pip install '.[live,peers,study]'` of the last commit, or in that of `--environment`.
+environment with `pip install '.[live,peers,play,study]'` of the last commit, or in that of `--environment`.
 `documented_commands.toml` lists the commands that are skipped, and why, and the files that a reader has.
 """
 
@@ -201,7 +201,7 @@ def make_environment(work: Path) -> Path:
     """Make an environment with skyherd and its optional libraries, as the documentation installs them."""
     clone(work / "source")
     subprocess.run([sys.executable, "-m", "venv", "--clear", str(work / "environment")], check=True)
-    pip = [str(work / "environment/bin/pip"), "install", "-q", f"{work / 'source'}[live,peers,study]"]
+    pip = [str(work / "environment/bin/pip"), "install", "-q", f"{work / 'source'}[live,peers,play,study]"]
     subprocess.run(pip, check=True)
     return work / "environment"
 

@@ -50,7 +50,10 @@ PARTS = {
         " tests/control/tree/test_protocol.py",
     ),
     "roles": Part(("control/formation/roles.py",), "tests/control/formation/test_roles.py"),
-    "avoidance": Part(("control/avoidance",), "tests/control/avoidance/test_speed_bound.py"),
+    "avoidance": Part(
+        ("control/avoidance",),
+        "tests/control/avoidance/test_speed_bound.py tests/control/avoidance/test_retreat.py",
+    ),
     "flight": Part(
         ("control/flight",),
         "tests/control/flight tests/control/topology/test_conditions_and_selection.py",

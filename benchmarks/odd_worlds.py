@@ -5,7 +5,7 @@ export OPENBLAS_NUM_THREADS=1
 python benchmarks/odd_worlds.py sheet --runs 20      # a spare sheet with a robot's id lies on the ground
 python benchmarks/odd_worlds.py sheets --runs 20     # sheets with all ids lie beside the team
 python benchmarks/odd_worlds.py stranger --runs 20   # a body with an unknown id stands among the robots
-python benchmarks/odd_worlds.py mover --runs 20      # an obstacle moves through the finished shape
+python benchmarks/odd_worlds.py movers --runs 100    # two obstacles move through the team
 python benchmarks/odd_worlds.py freeze --runs 100    # a camera repeats one image for 2 to 6 s
 python benchmarks/odd_worlds.py delay --runs 100     # a camera is 2 to 6 s late
 python benchmarks/odd_worlds.py replay --runs 100    # a camera repeats its last 2 to 6 s three times
@@ -16,7 +16,8 @@ python benchmarks/odd_worlds.py none --harsh         # false alarms under slip, 
 
 Each run is the scenario `crowd` with another seed and projected noisy markers, with a single unit if its
 camera is faulty. Robots have bodies of two
-marker sides across. Sheets are flat, and robots may drive over them. A stranger and a mover are bodies.
+marker sides across. Sheets are flat, and robots may drive over them. Strangers and
+movers are bodies.
 """
 
 import argparse
@@ -42,20 +43,28 @@ from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import Markers, World
 
 FAULTS = ("freeze", "delay", "replay")
-WORLDS = ("none", "sheet", "sheets", "stranger", "mover", *FAULTS)
+WORLDS = ("none", "sheet", "sheets", "stranger", "movers", *FAULTS)
 CLEAR_SIDES = 3.0
 """Minimum distance of a sheet or stranger from the robots at the start, marker sides. Chosen: a gap of one
 side between bodies."""
 
-STRANGER_ID, MOVER_ID = 45, 46
+STRANGER_ID, MOVER_IDS = 45, [46, 47]
 SPEEDS_MPS = (0.02, 0.1)
 """Range of a mover's speed, m/s. Chosen: below the robots' top speed of 0.6 m/s by a factor of 6."""
 
-MOVER_START_S = 30.0
-"""Time at which a mover starts, s. Chosen: the shape is formed by then."""
+MOVERS_FROM_M = (3.5, 7.0)
+"""Range of a mover's distance from the team's centre at the start, m. Chosen: the nearest movers meet robots
+that still form the shape, and the farthest meet the finished one."""
 
-DURATION_S = {"mover": 90.0, **dict.fromkeys(FAULTS, 40.0)}
-"""Simulated time by world, s. Chosen: a mover at 0.1 m/s passes the shape, and a fault ends before."""
+AIM_M = 1.0
+"""Maximum offset of a mover's path from the team's centre, along each axis, m."""
+
+WAY_OUT_SPEED_MPS, WAY_OUT_AFTER_S, WAY_OUT_FOR_S = 0.3, 1.0, 3.0
+"""A robot has a way out if it can drive straight at this speed, after this time, for this time. Chosen: half
+of the top speed, the time of a response and a turn, and a way of more than the diameter of a body."""
+
+DURATION_S = {"movers": 140.0, **dict.fromkeys(FAULTS, 40.0)}
+"""Simulated time by world, s. Chosen: a mover at 0.1 m/s has passed the shape, and a fault has ended."""
 
 USUAL_DURATION_S = 40.0
 """Simulated time in other worlds, s. Chosen: twice the time in which the shape is formed."""
@@ -92,8 +101,7 @@ class ExtraMarkers(Perception):
         perception: perception of the scenario.
         ids: (K,) ids of the additional markers.
         positions_m: (K, 2) their positions at the start.
-        velocity_mps: (2,) common velocity of the markers from `start_s` on.
-        start_s: time at which they start to move.
+        velocities_mps: (K, 2) their velocities.
     """
 
     def __init__(
@@ -101,19 +109,18 @@ class ExtraMarkers(Perception):
         perception: Perception,
         ids: Sequence[int],
         positions_m: Array,
-        velocity_mps: Array,
-        start_s: float = MOVER_START_S,
+        velocities_mps: Array,
     ) -> None:
         self._perception, self._ids, self._positions_m = (
             perception,
             np.array(ids, dtype=np.int64),
             positions_m,
         )
-        self._velocity_mps, self._start_s = velocity_mps, start_s
+        self._velocities_mps = velocities_mps
 
     def positions_m(self, time_s: float) -> Array:
         """Return the positions (K, 2) of the additional markers."""
-        return np.asarray(self._positions_m + self._velocity_mps * max(time_s - self._start_s, 0.0))
+        return np.asarray(self._positions_m + self._velocities_mps * time_s)
 
     def look(self, world: World, units: Sequence[int], time_s: float) -> list[Sight]:
         """Return the detections of all markers in the units' images."""
@@ -166,28 +173,35 @@ def load_world(
     settings += [] if checked else ["control.camera_check=false"]
     settings += draw_fault(seed, world, longest_s) if world in FAULTS else []
     settings += HARSH if harsh else []
-    if world == "mover":
-        # The scenario's own obstacle is far away; it makes the mover's id known as an obstacle.
-        settings.append(f"obstacles=[{{ id = {MOVER_ID}, position_m = [500.0, 500.0] }}]")
+    if world == "movers":
+        # The scenario's own obstacles are far away; they make the movers' ids known as obstacles.
+        far = (f"{{ id = {mover}, position_m = [{10 * mover}.0, 500.0] }}" for mover in MOVER_IDS)
+        settings.append(f"obstacles=[{', '.join(far)}]")
     return load_mission("crowd", settings)
 
 
 def place_extra(mission: Mission, seed: int, world: str) -> tuple[list[int], Array, Array]:
-    """Draw ids (K,), positions (K, 2), m, and the common velocity (2,), m/s, of the additional markers."""
-    rng, still = np.random.default_rng([seed, 91]), np.zeros(2)
+    """Draw ids (K,), positions (K, 2), m, and velocities (K, 2), m/s, of the additional markers."""
+    rng, still = np.random.default_rng([seed, 91]), np.zeros((1, 2))
     side_m, robots_m = mission.scenario.marker.side_m, mission.positions_m
     if world == "sheets":
         count = mission.ids.size
         row, column = np.divmod(np.arange(count), 4)
         corner_m = np.array([robots_m[:, 0].max() + CLEAR_SIDES * side_m, robots_m[:, 1].mean() - 1.5])
         return mission.ids.tolist(), corner_m + np.stack([row, column], axis=1), still
-    if world == "mover":
-        angle = rng.uniform(-np.pi, np.pi)
-        along = np.array([np.cos(angle), np.sin(angle)])
-        aim_m = robots_m.mean(axis=0) + rng.uniform(-1.0, 1.0, 2)
-        speed_mps = rng.uniform(*SPEEDS_MPS)
-        return [MOVER_ID], (aim_m - 6.0 * along)[None], speed_mps * along
     clear_m = CLEAR_SIDES * side_m
+    if world == "movers":
+        places_m: list[Array] = []
+        velocities_mps: list[Array] = []
+        while len(places_m) < len(MOVER_IDS):
+            angle = rng.uniform(-np.pi, np.pi)
+            along = np.array([np.cos(angle), np.sin(angle)])
+            aim_m = robots_m.mean(axis=0) + rng.uniform(-AIM_M, AIM_M, 2)
+            at_m, speed_mps = aim_m - rng.uniform(*MOVERS_FROM_M) * along, rng.uniform(*SPEEDS_MPS)
+            if np.linalg.norm(np.array([*robots_m, *places_m]) - at_m, axis=1).min() > clear_m:
+                places_m.append(at_m)
+                velocities_mps.append(speed_mps * along)
+        return MOVER_IDS, np.array(places_m), np.array(velocities_mps)
     low_m, high_m = robots_m.min(axis=0) - clear_m, robots_m.max(axis=0) + clear_m
     while True:
         at_m = rng.uniform(low_m, high_m)
@@ -195,6 +209,30 @@ def place_extra(mission: Mission, seed: int, world: str) -> tuple[list[int], Arr
             break
     robot = int(rng.choice(mission.ids))
     return [robot if world == "sheet" else STRANGER_ID], at_m[None], still
+
+
+def has_way_out(robot: int, robots_m: Array, extra_m: Array, extra_mps: Array, touch_m: float) -> bool:
+    """Return whether a robot can leave straight in some direction without a contact.
+
+    The other robots stand still, and the additional bodies keep their velocities.
+
+    Args:
+        robot: row of the robot.
+        robots_m: (N, 2) the robots' positions.
+        extra_m: (K, 2) the additional bodies' positions.
+        extra_mps: (K, 2) their velocities.
+        touch_m: distance between the centres of two bodies that touch.
+    """
+    times_s = np.linspace(0.0, WAY_OUT_AFTER_S + WAY_OUT_FOR_S, 41)
+    angles = np.linspace(-np.pi, np.pi, 72, endpoint=False)
+    along = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    way_m = WAY_OUT_SPEED_MPS * np.maximum(times_s - WAY_OUT_AFTER_S, 0.0)
+    path_m = robots_m[robot] + way_m[:, None, None] * along
+    others_m = np.delete(robots_m, robot, axis=0)
+    there_m = extra_m + times_s[:, None, None] * extra_mps
+    clear = np.linalg.norm(path_m[:, :, None] - others_m, axis=3).min(axis=(0, 2)) >= touch_m
+    clear &= np.linalg.norm(path_m[:, :, None] - there_m[:, None], axis=3).min(axis=(0, 2)) >= touch_m
+    return bool(clear.any())
 
 
 class Responses(CameraCheck):
@@ -219,15 +257,23 @@ def run_world(
     harsh: bool = False,
     longest_s: float = MAX_FAULT_S,
 ) -> Row:
-    """Run one mission and return its contacts and its shape error at the end."""
+    """Run one mission and return its contacts and its shape error at the end.
+
+    A contact with an additional body is avoidable if the robot had a way out when the body came within its
+    margin (`has_way_out`).
+    """
     mission = load_world(seed, world, checked=checked, harsh=harsh, longest_s=longest_s)
     perception = make_run_perception(mission)
     extra = None
     if world not in ("none", *FAULTS):
-        ids, places_m, velocity_mps = place_extra(mission, seed, world)
-        perception = extra = ExtraMarkers(perception, ids, places_m, velocity_mps)
+        ids, places_m, extra_mps = place_extra(mission, seed, world)
+        perception = extra = ExtraMarkers(perception, ids, places_m, extra_mps)
     side_m, radius_m = mission.scenario.marker.side_m, mission.bodies.radius_m
-    is_body = world in ("stranger", "mover")
+    is_body = world in ("stranger", "movers")
+    margin_m = mission.scenario.avoidance.margin_sides * side_m
+    had_way_out = np.ones(mission.ids.size, dtype=bool)
+    within = np.zeros(mission.ids.size, dtype=bool)
+    avoidable = 0
     touching: set[tuple[int, ...]] = set()
     faults = [fault for unit in mission.scenario.units for fault in unit.camera.faults]
     contacts, gap_m, images, alarms, missed_s = 0, np.inf, 0, 0, np.nan
@@ -244,9 +290,16 @@ def run_world(
         gaps_m, pairs = mission.bodies.gaps_m(step.positions_m), mission.bodies.pairs(len(step.positions_m))
         now = {tuple(pair) for pair in pairs[gaps_m < 0].tolist()}
         if is_body and extra is not None:
-            away_m = np.linalg.norm(step.positions_m - extra.positions_m(step.time_s), axis=1) - 2 * radius_m
+            extra_m = extra.positions_m(step.time_s)
+            away_m = np.linalg.norm(step.positions_m[:, None] - extra_m, axis=2) - 2 * radius_m
             gaps_m = np.append(gaps_m, away_m)
-            now |= {(robot, -1) for robot in np.flatnonzero(away_m < 0).tolist()}
+            now |= {(robot, -1 - body) for robot, body in zip(*np.nonzero(away_m < 0), strict=True)}
+            entered, within = ~within & (away_m < margin_m).any(axis=1), (away_m < margin_m).any(axis=1)
+            for robot in np.flatnonzero(entered).tolist():
+                had_way_out[robot] = has_way_out(
+                    robot, step.positions_m, extra_m, extra_mps, touch_m=2 * radius_m
+                )
+            avoidable += sum(body < 0 and bool(had_way_out[robot]) for robot, body in now - touching)
         contacts += len(now - touching)
         touching, gap_m = now, min(gap_m, float(gaps_m.min()))
         suspects = [unit for unit, frame in step.frames.items() if frame.decision.suspicion]
@@ -258,6 +311,7 @@ def run_world(
     return {
         "seed": seed,
         "contacts": contacts,
+        "avoidable": avoidable,
         "min_gap_sides": round(gap_m / side_m, 3),
         "shape_error": round(step.metrics.shape.error, 4),
         "images": images,
@@ -274,6 +328,7 @@ def summarize(rows: list[Row]) -> dict[str, Any]:
         "runs": len(rows),
         "with_contacts": sum(row["contacts"] > 0 for row in rows),
         "contacts": sum(row["contacts"] for row in rows),
+        "avoidable": sum(row["avoidable"] for row in rows),
         "min_gap_sides": min(row["min_gap_sides"] for row in rows),
         "formed": sum(row["shape_error"] < 0.01 for row in rows),
         "images": sum(row["images"] for row in rows),

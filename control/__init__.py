@@ -16,6 +16,7 @@ from skyherd.control.camera_check import CameraRule
 from skyherd.control.flight.keep_in_view import KeepInView
 from skyherd.control.flight.laws import Follow, Hover, Perimeter
 from skyherd.control.formation.assignment import ascend
+from skyherd.control.formation.motion import LeadRule, ShapeMotion
 from skyherd.control.formation.roles import RoleRule, newest_roles
 from skyherd.control.formation.schedule import Schedule
 from skyherd.control.formation.similarity import Similarity, desired_points, fit_similarities, fit_similarity
@@ -81,6 +82,7 @@ __all__ = [
     "HybridSelection",
     "KeepInView",
     "LatencyCompensation",
+    "LeadRule",
     "MarkerGains",
     "NeighborMemory",
     "Perimeter",
@@ -94,6 +96,7 @@ __all__ = [
     "Schedule",
     "Selection",
     "SelectionPolicy",
+    "ShapeMotion",
     "Similarity",
     "SizeRule",
     "TeamClock",

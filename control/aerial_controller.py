@@ -20,18 +20,20 @@ import numpy as np
 from skyherd.control.avoidance.image_border import HiddenRobots
 from skyherd.control.avoidance.proximity import BodyRule, proximity
 from skyherd.control.camera_check import CameraCheck, CameraRule
+from skyherd.control.formation.motion import LeadRule, drift_mps, leads_px
 from skyherd.control.formation.registration import register_views
 from skyherd.control.formation.roles import RoleRule, Roles
 from skyherd.control.formation.schedule import Schedule
 from skyherd.control.formation.size import SideConsensus, SizeRule
 from skyherd.control.formation.template import Template
-from skyherd.control.goals import lyapunov_term, motion_goals
+from skyherd.control.goals import led_goals, lyapunov_term, motion_goals
 from skyherd.control.identities import AmbiguousIds
 from skyherd.control.policy import FlightLaw, FlightTask, Selection, SelectionPolicy
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier, rectified
 from skyherd.control.team_clock import TeamClock
-from skyherd.errors import DegenerateSetError
+from skyherd.errors import DegenerateSetError, InputError
+from skyherd.geometry import Array
 from skyherd.messages import Detections, FlightCommand, MotionGoals, Proximity, UnitReport, shared_ids
 from skyherd.messages.checks import check_kind
 from skyherd.messages.short_repr import short_repr
@@ -88,6 +90,11 @@ class AerialController:
         clock: estimates the team's time from received time stamps; None if the unit's own clock shows it.
         camera: the robots' response to goals, by which the unit detects a frozen or replayed camera; None to
             trust every image.
+        lead: the robots' response to goals, by which the unit leads them along with a moving shape; None if
+            the shape may not move.
+
+    Raises:
+        InputError: the shape moves, and `lead` is None.
     """
 
     def __init__(
@@ -104,6 +111,7 @@ class AerialController:
         bodies: BodyRule | None = None,
         clock: TeamClock | None = None,
         camera: CameraRule | None = None,
+        lead: LeadRule | None = None,
     ) -> None:
         check_kind("AerialController: schedule", schedule, (Template, Schedule), "a Template or a Schedule")
         self.schedule = Schedule(schedule) if isinstance(schedule, Template) else schedule
@@ -114,6 +122,9 @@ class AerialController:
         self.ambiguous_ids = AmbiguousIds()
         self.size, self.side_consensus = size or SizeRule(), SideConsensus()
         self.clock = clock
+        if self.schedule.motions and lead is None:
+            raise InputError("AerialController: lead", "none for a moving shape", "a LeadRule")
+        self.lead = lead
         self.camera_check = None if camera is None else CameraCheck(camera, self.template.ids)
         self._last_report: UnitReport | None = None
 
@@ -145,6 +156,8 @@ class AerialController:
         side_px = 0.0 if self.size.is_free else self.side_consensus.update(seen, recent)
         selection = self.selection.choose(seen, recent, self.roles.shape, self._last_report)
         goals = self._goals(seen, selection, recent, side_px) if selection.may_move else None
+        cost_sides2 = lyapunov_term(goals)
+        goals = self._led(goals, seen, recent, side_px)
         self._last_report = UnitReport(
             unit_id=seen.unit_id,
             time_s=seen.time_s,
@@ -154,7 +167,7 @@ class AerialController:
             controlled_ids=selection.controlled_ids,
             secure_ids=selection.secure_ids,
             tree=selection.tree_status,
-            cost_sides2=lyapunov_term(goals),
+            cost_sides2=cost_sides2,
             side_px=side_px,
             roles=self.roles.reported,
         )
@@ -196,7 +209,7 @@ class AerialController:
     def _fly(self, seen: Detections, selection: Selection, reports: Sequence[UnitReport]) -> FlightCommand:
         """Keep the control set in view; before robots may move, hold the position or widen the view."""
         if selection.may_move:
-            task = FlightTask(selection.controlled_ids, selection.sought_ids)
+            task = FlightTask(selection.controlled_ids, selection.sought_ids, drift_mps=self._drift_mps(seen))
         elif selection.searches:
             task = FlightTask(selection.controlled_ids, seen.ids, widen=True)
         else:
@@ -230,3 +243,29 @@ class AerialController:
             )
         except DegenerateSetError:
             return None
+
+    def _led(
+        self, goals: MotionGoals | None, seen: Detections, reports: Sequence[UnitReport], side_px: float
+    ) -> MotionGoals | None:
+        """Return the goals, led along with the motion of the shape."""
+        motion = self.schedule.motion_at(seen.time_s)
+        if goals is None or self.lead is None or motion.is_rest:
+            return goals
+        leads = leads_px(
+            motion,
+            self.lead,
+            template=self.roles.shape,
+            seen=seen,
+            ids=goals.ids,
+            reports=reports,
+            scales=self.size.scales(self.roles.shape, side_px),
+        )
+        return led_goals(goals, seen, leads)
+
+    def _drift_mps(self, seen: Detections) -> Array:
+        """Return the velocity (2,) of the moving shape at the image centre, m/s."""
+        motion = self.schedule.motion_at(seen.time_s)
+        if self.lead is None or motion.is_rest:
+            return np.zeros(2)
+        center_px = complex(*((seen.image_size_px - 1) / 2))
+        return drift_mps(motion, self.lead, template=self.roles.shape, seen=seen, center_px=center_px)

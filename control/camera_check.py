@@ -246,7 +246,8 @@ class CameraCheck:
             if obeying_ids is not None:
                 paces[~among(self._ids, obeying_ids)] = 0.0
             paces[paces < MIN_PACE_SIDES_PS] = 0.0
-        self._paces.append((self._last.time_s, paces))
+        if paces.any() or not self._paces or self._paces[-1][1].any():  # a team at rest adds nothing
+            self._paces.append((self._last.time_s, paces))
         starts_s = [image.time_s for image in (self._still, self._trial) if image is not None]
         while len(self._paces) > 1 and self._paces[1][0] <= min(starts_s):
             self._paces.popleft()

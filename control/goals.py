@@ -1,11 +1,13 @@
 """Motion goals of a unit for its robots, in each robot's own frame, and image distances (eq. 2-3)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from skyherd.control.formation.similarity import fit_goals
 from skyherd.control.formation.template import Template
-from skyherd.geometry import Array, BoolArray, IntArray, to_complex, wrap_angle
-from skyherd.messages import Detections, MotionGoals, among
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex
+from skyherd.messages import Detections, MotionGoals, among, rows_of
 from skyherd.messages.checks import check_kind
 
 
@@ -21,8 +23,7 @@ def motion_goals(
     """Compute the goals of one unit for the robots it controls and sees.
 
     The goal vector is `rho_i^j = p_i^{d,j} - p_i^j` (eq. 2). Its direction in the robot's frame is the angle
-    from the heading y to rho. Image angles run clockwise seen from above, the robot's counter-clockwise. The
-    sense flips once, here, as `bearing = -(arg rho - heading)`. The paper's angle (eq. 3) is `pi - bearing`,
+    from the heading y to rho: `bearing = -(arg rho - heading)`. The paper's angle (eq. 3) is `pi - bearing`,
     with its z axis up, that is, for image coordinates (u, -v).
 
     Args:
@@ -50,12 +51,26 @@ def motion_goals(
         time_s=seen.time_s,
         ids=ids,
         rho_px=np.abs(rho),
-        # Image angles run clockwise seen from above, bearings counter-clockwise: the only flip of sense.
-        bearings_rad=wrap_angle(seen.headings_rad[rows] - np.angle(rho)),
+        bearings_rad=np.angle(_in_robot_frames(rho, seen.headings_rad[rows])),
         sides_px=seen.sides_px[rows],
         neighbor_ids=neighbor_ids,
         neighbor_distances_px=neighbor_distances,
     )
+
+
+def _in_robot_frames(vectors_px: ComplexArray, headings_rad: Array) -> ComplexArray:
+    """Return image vectors (N,) in the frames of robots with headings (N,), `forward + i left`.
+
+    Image angles run clockwise seen from above, the robot's counter-clockwise: the only flip of sense.
+    """
+    return np.asarray((vectors_px * np.exp(-1j * headings_rad)).conj())
+
+
+def led_goals(goals: MotionGoals, seen: Detections, leads_px: ComplexArray) -> MotionGoals:
+    """Return goals with leads (N,), image vectors in px, added to them (control/formation/motion.py)."""
+    headings_rad = seen.headings_rad[rows_of(seen.ids, goals.ids)]
+    rho = goals.rho_px * np.exp(1j * goals.bearings_rad) + _in_robot_frames(leads_px, headings_rad)
+    return replace(goals, rho_px=np.abs(rho), bearings_rad=np.angle(rho))
 
 
 def lyapunov_term(goals: MotionGoals | None) -> float:

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from skyherd.control.formation.template import Template
-from skyherd.geometry import BoolArray, IntArray
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.messages import (
     Detections,
     FlightCommand,
@@ -85,11 +85,14 @@ class FlightTask:
         controlled_ids: the control set, which must stay in view.
         sought_ids: robots to bring into view as well, as far as the control set stays in view.
         widen: whether to widen the view continuously, to find missing units or robots.
+        drift_mps: (2,) velocity along +u and +v at which a moving shape passes the image centre; a law that
+            follows robots adds it.
     """
 
     controlled_ids: IntArray
     sought_ids: IntArray = field(default_factory=lambda: NO_ROBOTS)
     widen: bool = False
+    drift_mps: Array = field(default_factory=lambda: np.zeros(2))
 
 
 class FlightLaw(Protocol):

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skyherd.control.avoidance.avoiding_law import avoiding_law
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
-from skyherd.control.avoidance.speed_bound import AvoidanceRule, avoiding_law
+from skyherd.control.avoidance.speed_bound import AvoidanceRule
 from skyherd.control.policy import Delivery, RobotTeam, TeamOrders
 from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.latency_compensation import LatencyCompensation
@@ -86,7 +87,12 @@ class GoalFollowers(RobotTeam):
             return robot_commands(inboxes, self.gains, time_s, wheels=self.wheels)
         rho = self.gains.follow(inboxes, time_s)
         v_mps, omega_radps = avoiding_law(
-            rho, self.gains, memory=self.neighbors, rule=self.avoidance, time_s=time_s + lead_s
+            rho,
+            self.gains,
+            memory=self.neighbors,
+            rule=self.avoidance,
+            time_s=time_s + lead_s,
+            driven=np.asarray(inboxes.fresh(time_s).any(axis=0)),
         )
         self.neighbors.record_rotation(omega_radps, time_s, self.avoidance.step_s)
         return VelocityCommand(inboxes.ids, v_mps, omega_radps)

@@ -66,6 +66,7 @@ from skyherd.datasets.configuration.robot_models import (
     ScatterModel,
     WheelsModel,
 )
+from skyherd.datasets.configuration.template_models import ShapeModel
 from skyherd.datasets.configuration.toml_files import (
     apply_settings,
     built_in_names,
@@ -75,6 +76,7 @@ from skyherd.datasets.configuration.toml_files import (
     put_value,
     read_toml_text,
 )
+from skyherd.datasets.configuration.toml_writer import toml_text
 from skyherd.datasets.configuration.unit_models import FlightModel, UnitModel
 from skyherd.datasets.configuration.validation import check_tree, locate
 from skyherd.datasets.labelled.ranges import draw_integer, draw_number
@@ -159,6 +161,7 @@ __all__ = [
     "Scenario",
     "ScenarioSource",
     "SelectionModel",
+    "ShapeModel",
     "SizeModel",
     "SpecFile",
     "TemplateIntervention",
@@ -202,4 +205,5 @@ __all__ = [
     "spec_names",
     "spec_text",
     "star_mission",
+    "toml_text",
 ]

@@ -9,7 +9,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, wrap_angle
+from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
 
 DIRECTIONS = 36
 """Number of directions that `around` compares, evenly spread: one per 10 degrees. Chosen: cost is
@@ -96,42 +96,6 @@ def gyroscopic(
     off = wrap_angle(np.angle(preferred[blocked]) - bearings_rad[first])
     quarter = np.where(off > HEAD_ON_RAD, 1j, -1j)
     return blocked, np.abs(preferred[blocked]) * quarter * np.exp(1j * bearings_rad[first])
-
-
-def out_of_margin(
-    preferred: ComplexArray, *, rows: IntArray, bearings_rad: Array, spreads_rad: Array
-) -> tuple[IntArray, ComplexArray]:
-    """Return the rows (R,), ascending, and escape velocities (R,) of robots with a body within their margin.
-
-    Such a robot may only drive away: at a right angle to the body or more. This must hold for any bearing
-    error and any turn before a command takes effect. The robot takes the nearest of `DIRECTIONS` to the
-    preferred one, at the preferred speed. Robots are left out if their preferred direction already leads
-    away, or if no direction does.
-
-    Args:
-        preferred: (N,) preferred velocities in the robots' frames, `forward + i left`, m/s; those of the
-            `rows` are not zero.
-        rows: (P,) row of the robot of each pair whose bodies are within the margin.
-        bearings_rad: (P,) direction to the other body in the robot's frame, positive to the left.
-        spreads_rad: (P,) maximum error of that direction.
-    """
-    concerned, pair_of = np.unique(rows, return_inverse=True)
-    theta = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
-    along = np.angle(preferred[concerned])
-
-    def leads_away(angles_rad: Array) -> BoolArray:
-        """Return a mask (R, M) of the directions that lead away from all bodies of their robots."""
-        off = np.abs(wrap_angle(angles_rad[pair_of] - bearings_rad[:, None]))
-        away = np.ones(angles_rad.shape, dtype=bool)
-        np.logical_and.at(away, pair_of, off >= np.pi / 2 + spreads_rad[:, None])
-        return away
-
-    away = leads_away(along[:, None] + theta)
-    score = np.where(away, np.cos(theta) * np.where(theta > 0, 1 - RIGHT_HAND, 1.0), -np.inf)
-    best = theta[np.argmax(score, axis=1)]
-    turned = away.any(axis=1) & ~leads_away(along[:, None])[:, 0]
-    velocities = preferred[concerned] * np.exp(1j * best)
-    return concerned[turned], velocities[turned]
 
 
 def _approach_speeds(velocities: ComplexArray, rows: IntArray, bearings_rad: Array) -> Array:

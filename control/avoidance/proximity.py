@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, fields
 import numpy as np
 
 from skyherd.control.avoidance.image_border import HIDDEN_SIDES, HiddenBeyond
+from skyherd.control.avoidance.make_way import yielding_sides
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, wrap_angle
 from skyherd.messages import ANONYMOUS_ID, BORDER_IDS, Detections, Proximity, among
 from skyherd.messages.checks import check_numbers
@@ -117,6 +118,9 @@ def _pairs_of_bodies(
     robot, other = np.nonzero(near)
     certain = among(bodies.ids, identified)
     static = certain & ~is_robot
+    gaps = distances - reaches
+    np.fill_diagonal(gaps, np.inf)
+    reaches = reaches + yielding_sides(gaps, is_robot)
     return _Pairs(
         robot,
         np.where(certain[robot] & certain[other], bodies.ids[other], ANONYMOUS_ID),

@@ -10,26 +10,25 @@ If both robots of a pair satisfy it, then g' >= -γ g, so that g(t) >= g(0) e^{-
 the age of the message. It therefore holds under any delay and any message loss; docs/bodies.md has the proof
 and its assumptions. Braking distance and actuation delay are part of A.
 
-The remaining law is free. If the preferred velocity is blocked, the robot takes a detour
-(`skyherd.control.avoidance.detour`). The bound is applied last.
+The remaining law is free (`skyherd.control.avoidance.avoiding_law`). The bound is applied last.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.control.avoidance.detour import DETOUR_RULES, Detour, out_of_margin
+from skyherd.control.avoidance.detour import Detour
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
-from skyherd.control.robots.unicycle import RobotLaw, Wheels, wheel_law
-from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
+from skyherd.control.robots.unicycle import Wheels
+from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
 from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.messages.checks import check_numbers
 
 MIN_DISTANCE_M = 1e-9
 """Minimum divisor for distances, m. Chosen: far below the radius of any body; it only avoids 0 / 0."""
 
-MIN_SPEED_MPS = 1e-12
-"""Minimum divisor for speeds, m/s. Chosen: far below the speed of any robot; it only avoids 0 / 0."""
+HALVINGS = 8
+"""Number of bisections for the largest safe speed. Chosen: it is then too small by 0.4 % at most."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +42,7 @@ class AvoidanceRule:
         superseded_age_s: message age from which other robots may hold a newer message.
         step_s: duration of a command.
         lag_s: maximum actuation lag: command delay, plus top speed over acceleration.
+        brakes_s: the part of `lag_s` that is top speed over acceleration; 0 if unknown.
         overshoot: relative speed error of the wheels.
         creep_mps: absolute speed error of the wheels.
         turn_error_radps: maximum error of the turn rate.
@@ -60,6 +60,7 @@ class AvoidanceRule:
     superseded_age_s: float
     step_s: float
     lag_s: float = 0.0
+    brakes_s: float = 0.0
     overshoot: float = 0.0
     creep_mps: float = 0.0
     turn_error_radps: float = 0.0
@@ -77,6 +78,7 @@ class AvoidanceRule:
                 "nominal_age_s",
                 "superseded_age_s",
                 "lag_s",
+                "brakes_s",
                 "overshoot",
                 "creep_mps",
                 "turn_error_radps",
@@ -100,6 +102,10 @@ class AvoidanceRule:
         """The time A, s, from a command to its last effect: its duration plus the actuation lag."""
         return self.step_s + self.lag_s
 
+    def lag_at_s(self, speeds_mps: Array) -> Array:
+        """Return the actuation lags, s, from speeds up to the top speed: lower ones brake in less time."""
+        return np.asarray(self.lag_s - self.brakes_s * (1 - speeds_mps / self.wheels.max_speed_mps))
+
     def limit_mps(self, share_m: Array, age_s: Array) -> Array:
         """Return commanded speeds (P,), m/s, at which the true approach stays within the bound b.
 
@@ -121,6 +127,7 @@ class Bounds:
         bearings_rad: (P,) direction to the other body in the robot's frame.
         speeds_mps: (P,) bounds b on the approach speed.
         slack_rad: (P,) maximum error of the bearing.
+        within: (P,) whether the other body was within the margin in the image.
         unseen_mps: (N,) bound on each robot's speed in every direction, for bodies without a message.
     """
 
@@ -128,6 +135,7 @@ class Bounds:
     bearings_rad: Array
     speeds_mps: Array
     slack_rad: Array
+    within: BoolArray
     unseen_mps: Array
 
 
@@ -156,8 +164,48 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | 
         slack_rad=np.where(strayed_m < distances_m, turned, np.pi)
         + rule.turn_error_radps * (age_s + rule.held_s)
         + rule.bearing_error_rad,
+        within=gaps_m <= 0,
         unseen_mps=rule.limit_mps(memory.horizon_sides * rule.side_m / 2, unseen_s),
     )
+
+
+def approach_speeds(speeds_mps: Array, angles_rad: Array, rule: AvoidanceRule) -> Array:
+    """Return the maximum approach speeds, m/s, of robots that drive at angles to other bodies.
+
+    The robot may turn towards the body before its speed has decayed.
+
+    Args:
+        speeds_mps: speeds, from 0.
+        angles_rad: smallest angles between the velocity and the direction to the body, less all errors.
+        rule: the robots' own parameters.
+    """
+    turned_rad = rule.wheels.max_turn_radps * rule.lag_at_s(speeds_mps)
+    return np.asarray(speeds_mps * np.cos(np.maximum(angles_rad - turned_rad, 0.0)))
+
+
+def safe_shares(speeds_mps: Array, angles_rad: Array, limits_mps: Array, rule: AvoidanceRule) -> Array:
+    """Return the shares of the speeds at which the approach speeds are within their limits.
+
+    The approach speed increases with the speed. The share that is safe at the lag of the unreduced speed is
+    therefore safe, and bisection finds a larger one.
+
+    Args:
+        speeds_mps: speeds, from 0.
+        angles_rad: as in `approach_speeds`.
+        limits_mps: limits of the approach speeds.
+        rule: the robots' own parameters.
+    """
+    approach = approach_speeds(speeds_mps, angles_rad, rule)
+    too_fast = approach > limits_mps
+    safe = np.ones(approach.shape)
+    np.divide(np.broadcast_to(limits_mps, approach.shape), approach, out=safe, where=too_fast)
+    if rule.brakes_s and too_fast.any():
+        high = np.ones(approach.shape)
+        for _ in range(HALVINGS):
+            middle = (safe + high) / 2
+            is_safe = approach_speeds(middle * speeds_mps, angles_rad, rule) <= limits_mps
+            safe, high = np.where(is_safe, middle, safe), np.where(is_safe, high, middle)
+    return safe
 
 
 def slowed(v_mps: Array, omega_radps: Array, *, bounds: Bounds, rule: AvoidanceRule) -> tuple[Array, Array]:
@@ -172,48 +220,8 @@ def slowed(v_mps: Array, omega_radps: Array, *, bounds: Bounds, rule: AvoidanceR
     rows = bounds.rows
     sweep = omega_radps[rows] * rule.step_s
     angle = np.abs(wrap_angle(bounds.bearings_rad - np.angle(u[rows]) - sweep / 2))
-    angle -= np.abs(sweep) / 2 + rule.wheels.max_turn_radps * rule.lag_s + bounds.slack_rad
-    closing = np.abs(u)[rows] * np.cos(np.maximum(angle, 0.0))
+    angle -= np.abs(sweep) / 2 + bounds.slack_rad
     speed = np.abs(u)
     share = np.minimum(1.0, bounds.unseen_mps / np.where(speed > 0, speed, 1.0))
-    too_fast = closing > bounds.speeds_mps
-    np.minimum.at(share, rows[too_fast], bounds.speeds_mps[too_fast] / closing[too_fast])
+    np.minimum.at(share, rows, safe_shares(speed[rows], angle, bounds.speeds_mps, rule))
     return v_mps * share, omega_radps * share if rule.wheels.axis_offset_m else omega_radps
-
-
-def avoiding_law(
-    rho: ComplexArray, law: RobotLaw, *, memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | float
-) -> tuple[Array, Array]:
-    """Return collision-free speeds v (N,), m/s, and ω (N,), rad/s.
-
-    An unblocked robot follows `wheel_law` exactly. A robot with a body within its margin may not approach it
-    and first drives away from it.
-
-    Args:
-        rho: (N,) vectors to follow in the robots' frames, in the unit of the law.
-        law: speed law of the robots.
-        memory: bodies near the robots.
-        rule: the robots' own parameters.
-        time_s: present time, or the robots' own times (N,).
-    """
-    bounds = closing_bounds(memory, rule, time_s)
-    if rule.detour != "none":
-        gain = law.speed_mps(np.ones(1))[0]
-        preferred = rho * gain
-        speed = np.maximum(np.abs(preferred), MIN_SPEED_MPS)
-        preferred = preferred * np.minimum(1.0, rule.wheels.max_speed_mps / speed)
-        blocked, velocities = DETOUR_RULES[rule.detour](
-            preferred, rows=bounds.rows, bearings_rad=bounds.bearings_rad, speeds_mps=bounds.speeds_mps
-        )
-        rho = rho.copy()
-        rho[blocked] = velocities / gain
-        within = (bounds.speeds_mps <= 0) & (np.abs(preferred[bounds.rows]) > MIN_SPEED_MPS)
-        leaving, velocities = out_of_margin(
-            preferred,
-            rows=bounds.rows[within],
-            bearings_rad=bounds.bearings_rad[within],
-            spreads_rad=bounds.slack_rad[within] + rule.wheels.max_turn_radps * rule.lag_s,
-        )
-        rho[leaving] = velocities / gain
-    v_mps, omega_radps = wheel_law(rho, law, rule.wheels)
-    return slowed(v_mps, omega_radps, bounds=bounds, rule=rule)

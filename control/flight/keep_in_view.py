@@ -6,9 +6,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skyherd.control.flight.image_memory import ImageMemory
+from skyherd.control.flight.radio_links import HOLD_SHARE, kept_links, within_links
 from skyherd.control.formation.template import Template
 from skyherd.control.policy import FlightLaw, FlightTask
-from skyherd.geometry import Array, IntArray, to_points
+from skyherd.geometry import Array, IntArray, to_complex, to_points
 from skyherd.messages import NO_ID, Detections, FlightCommand, UnitReport, centred
 from skyherd.messages.checks import check_kind, check_numbers
 
@@ -111,6 +112,8 @@ class KeepInView(FlightLaw):
     - A unit without robots keeps all visible robots in view and climbs to see more.
     - Units that come too close move apart, measured between image centres in marker sides.
     - Of several units with the same set, only the first moves.
+    - With a limited radio range, a unit stays within it of the units that connect it to the others
+      (control/flight/radio_links.py). This comes before its view.
 
     Attributes:
         template: template with the ids of the team.
@@ -125,6 +128,7 @@ class KeepInView(FlightLaw):
             descends or zooms in if it is smaller: a marker that is too small is not detected.
         patrol_s: observation time of each robot on patrol. Chosen: two dwell times, in which a robot can be
             adopted.
+        radio_range_sides: radio range on the ground, in marker sides; infinite without a limit.
     """
 
     template: Template
@@ -136,6 +140,7 @@ class KeepInView(FlightLaw):
     separation_sides: float = 6.0
     min_side_px: float = 12.0
     patrol_s: float = 4.0
+    radio_range_sides: float = np.inf
     memory: ImageMemory = field(init=False)
     ceiling: LearnedCeiling = field(default_factory=LearnedCeiling, init=False)
     _side_px: float = field(default=np.inf, init=False)
@@ -148,6 +153,7 @@ class KeepInView(FlightLaw):
         lengths = ("separation_sides", "min_side_px")
         check_kind("KeepInView.template", self.template, Template, "a Template")
         check_numbers(self, positive=("desired_radius",), not_negative=(*gains, *lengths))
+        check_numbers(self, positive=("radio_range_sides",), endless=("radio_range_sides",))
         self.memory = ImageMemory(self.template)
 
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
@@ -165,7 +171,18 @@ class KeepInView(FlightLaw):
                 zoom_rate_ps=min(command.zoom_rate_ps, -self.zoom_gain_ps * more),
             )
         self.ceiling.command(command.climb_mps)
-        return command
+        lateral_mps = self._in_radio_range(seen, command.lateral_mps)
+        return replace(command, lateral_mps=lateral_mps + task.drift_mps)
+
+    def _in_radio_range(self, seen: Detections, lateral_mps: Array) -> Array:
+        """Return the lateral velocity (2,), m/s, changed to keep the unit's radio links."""
+        if not (self.memory.centers_px and np.isfinite(self.radio_range_sides + self._side_px)):
+            return lateral_mps
+        centers = centred(to_points(list(self.memory.centers_px.values())), seen.image_size_px)
+        sides = self._side_px / (seen.image_size_px.min() / 2)
+        hold = HOLD_SHARE * self.radio_range_sides * sides
+        offsets = centers[kept_links(to_complex(centers))]
+        return within_links(lateral_mps, offsets, hold, self.lateral_gain_mps)
 
     def _follow(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
         controlled, own_set = task.controlled_ids, frozenset(task.controlled_ids.tolist())

@@ -86,7 +86,7 @@ class Follow(FlightLaw):
         climb = excess - np.clip(excess, -self.dead_band, self.dead_band)
         return FlightCommand(
             seen.unit_id,
-            self.lateral_gain_mps * points.mean(axis=0),
+            self.lateral_gain_mps * points.mean(axis=0) + task.drift_mps,
             climb_mps=float(self.climb_gain_mps * climb),
             yaw_rate_radps=0.0,
         )
@@ -167,7 +167,7 @@ class Perimeter(FlightLaw):
         excess = float(np.linalg.norm(points, axis=1).max()) - self.desired_radius
         return FlightCommand(
             seen.unit_id,
-            self.speed_mps * along + self.lateral_gain_mps * foot,
+            self.speed_mps * along + self.lateral_gain_mps * foot + task.drift_mps,
             climb_mps=self.climb_gain_mps * excess,
             yaw_rate_radps=self.yaw_rate_radps,
         )

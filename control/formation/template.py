@@ -85,6 +85,11 @@ class Template:
         return float(pdist(to_points(self.points_px)).min())
 
     @cached_property
+    def radius_px(self) -> float:
+        """RMS distance of the points from their mean, in pixels of the template."""
+        return float(np.sqrt((np.abs(self.points_px - self.points_px.mean()) ** 2).mean()))
+
+    @cached_property
     def members(self) -> frozenset[int]:
         """Ids of the robots as a set."""
         return frozenset(self.ids.tolist())

@@ -91,8 +91,9 @@ class Mission:
 
     @cached_property
     def schedule(self) -> Schedule:
-        """The shapes to form, each with its start time."""
-        return Schedule(self.template, self.later)
+        """The shapes to form and their motions, each with its start time."""
+        motions = tuple((model.at_s, model.motion) for model in self.scenario.template.motion)
+        return Schedule(self.template, self.later, motions)
 
     def shape_at(self, time_s: float, roles: IntArray) -> Template:
         """Return the shape to form at a time, s; its points are in the order of the roles (N,)."""
@@ -391,7 +392,10 @@ def _later_shape(
 
 
 def _check_times(scenario: Scenario) -> None:
-    """Check that shapes after the first begin after the start, in the order of the file, one at a time."""
+    """Check that motions ascend, and that later shapes begin after the start, in order, one at a time."""
+    starts_s = [motion.at_s for motion in scenario.template.motion]
+    if any(before >= after for before, after in pairwise(starts_s)):
+        raise InputError("template.motion", f"times {starts_s} s", "times from 0 that ascend")
     times_s = [shape.at_s for shape in scenario.template.then]
     if any(before >= after for before, after in pairwise(times_s)):
         raise InputError("template.then", f"times {times_s} s", "times after 0 that ascend")

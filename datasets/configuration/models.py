@@ -385,11 +385,12 @@ class Scenario(Model):
 
     @model_validator(mode="after")
     def _fit_for_baseline(self) -> Self:
-        """Reject role exchange, avoidance, later shapes and pixel gains with a law from the literature."""
+        """Reject settings that a law from the literature does not support."""
         parts = {
             "roles.exchange": self.roles.exchange,
             "avoidance.on": self.avoidance.on,
             "template.then": self.template.then,
+            "template.motion": self.template.motion,
             "control.gains": self.control.gains == "pixel",
         } | {
             f"interventions.{number}": isinstance(intervention, ControlIntervention | TemplateIntervention)
@@ -400,6 +401,20 @@ class Scenario(Model):
             raise join_errors(
                 [InputError(key, what, "leave it out, or use the method similarity") for key in given]
             )
+        return self
+
+    @model_validator(mode="after")
+    def _possible_motion(self) -> Self:
+        """Reject motions of the shape that units cannot lead, or that its given size excludes."""
+        if self.template.motion and self.control.gains == "pixel":
+            what = "given with control.gains pixel, whose speeds depend on unknown scales"
+            raise InputError("template.motion", what, "leave it out, or use marker gains")
+        is_given = self.size.unit_m is not None or self.size.spacing_sides is not None
+        for number, motion in enumerate(self.template.motion):
+            if motion.growth_percent_ps and is_given:
+                where = f"template.motion.{number}.growth_percent_ps"
+                what = f"{motion.growth_percent_ps:g}, but the size of the shape is given"
+                raise InputError(where, what, "0, or no size.unit_m and size.spacing_sides")
         return self
 
     def _unit_problems(self, unit: UnitModel) -> Iterator[InputError]:

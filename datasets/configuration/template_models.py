@@ -1,10 +1,12 @@
 """Scenario keys of the shapes to form."""
 
+import math
 from typing import Annotated, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
-from skyherd.datasets.configuration.fields import MAX_ROBOTS, Model, Point, Positive
+from skyherd.control import ShapeMotion
+from skyherd.datasets.configuration.fields import MAX_ROBOTS, Model, NotNegative, Point, Positive
 from skyherd.errors import InputError
 
 PointNumber = Annotated[int, Field(ge=0, lt=MAX_ROBOTS)]
@@ -46,7 +48,32 @@ class LaterModel(ShapeModel):
     at_s: Positive = Field(description="s; time at which it replaces the previous shape")
 
 
+class MotionModel(Model):
+    """Motion of the shape from a time on, in the frame of the template, which moves with the shape."""
+
+    at_s: NotNegative = Field(description="s; time at which it replaces the previous motion")
+    velocity_ps: Point = Field(
+        (0.0, 0.0), description="1/s; velocity to the right and upwards, in RMS radii of the shape"
+    )
+    turn_degps: Annotated[FiniteFloat, Field(ge=-180, le=180)] = Field(
+        0.0, description="deg/s; rotation, counter-clockwise seen from above"
+    )
+    growth_percent_ps: Annotated[FiniteFloat, Field(ge=-50, le=50)] = Field(
+        0.0, description="%/s; growth of the shape"
+    )
+
+    @property
+    def motion(self) -> ShapeMotion:
+        """The motion in image sense."""
+        right, up = self.velocity_ps
+        turn_radps = -math.radians(self.turn_degps)
+        return ShapeMotion(right, -up, turn_radps, self.growth_percent_ps / 100)
+
+
 class TemplateModel(ShapeModel):
-    """The shape to form, and later shapes."""
+    """The shape to form, later shapes, and the motion of the shape."""
 
     then: list[LaterModel] = Field([], max_length=100, description="later shapes, their times ascending")
+    motion: list[MotionModel] = Field(
+        [], max_length=100, description="motions of the shape, their times ascending; it rests before"
+    )

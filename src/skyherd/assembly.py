@@ -40,8 +40,14 @@ REPORTS_MISSED = 5
 with three of ten messages lost, five in a row are lost once in 400 times."""
 
 
-def make_flight(model: FlightModel, template: Template) -> FlightLaw:
-    """Make a new flight law as `units.flight` asks for it."""
+def make_flight(model: FlightModel, template: Template, radio_range_sides: float | None = None) -> FlightLaw:
+    """Make a new flight law as `units.flight` asks for it.
+
+    Args:
+        model: settings of the law.
+        template: the shape of the team.
+        radio_range_sides: radio range between units, marker sides; None for no limit.
+    """
     yaw_rate_radps = float(np.radians(model.yaw_rate_degps))
     gains = {
         "desired_radius": model.desired_radius,
@@ -60,6 +66,7 @@ def make_flight(model: FlightModel, template: Template) -> FlightLaw:
         dead_band=model.dead_band,
         separation_sides=model.separation_sides,
         min_side_px=model.min_side_px,
+        radio_range_sides=np.inf if radio_range_sides is None else radio_range_sides,
         **gains,
     )
 

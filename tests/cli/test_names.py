@@ -95,6 +95,8 @@ def test_unusual_name_is_read_and_named_in_one_line(pictures, capsys):
     [
         ["scenario", "check"],
         ["run"],
+        ["play"],
+        ["view"],
         ["topology"],
         ["report"],
         ["export"],

@@ -300,6 +300,8 @@ def test_study_never_replaces_a_foreign_table(here, capsys, write_study, without
     [
         ["run", "triangle", "--out", "new/out", "--seed", str(2**70)],
         ["run", "triangle", "--out", "new/out", "--set", "units.0.camera.mirrored=true"],
+        ["play", "triangle", "--out", "new/out"],
+        ["view", "new", "--html", "out.html"],
         ["detect", "text.png", "--out", "new/out"],
         ["detect", "pipe", "--out", "new/out"],
         ["topology", "triangle", "--out", "new/out.png"],

@@ -34,12 +34,15 @@ HEAVY = (
     "dask",
     "pyarrow",
     "rosbags",
+    "viser",
 )
 """Modules that are slow to import, including rich: few verbs have progress bars and tables."""
 
 VERBS = [
     [],
     ["run"],
+    ["play"],
+    ["view"],
     ["report"],
     ["export"],
     ["topology"],

@@ -116,6 +116,13 @@ class TestFrozen:
         scene.run(1.0)
         assert not scene.run(10.0, shown=scene.image()).size
 
+    def test_rest_takes_no_memory_and_delays_no_suspicion(self, scene) -> None:
+        scene.run(30.0)
+        assert len(scene.check._paces) <= 2
+        scene.goals = scene.goals + 0.5 / RULE.law.k
+        found = scene.run(2.0, shown=scene.image())
+        assert found.size and found[0] <= 1.0 + FRAME_S / 2
+
     def test_not_suspected_below_stated_pace(self, scene) -> None:
         scene.run(1.0)
         scene.goals = scene.goals + 0.95 * MIN_PACE_SIDES_PS / RULE.law.k

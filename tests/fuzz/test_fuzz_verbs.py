@@ -26,6 +26,11 @@ VERBS = {
         {"": TEXTS, "--seed": NUMERALS, "--set": TEXTS, "--perception": TEXTS, "--out": TEXTS},
         ("--force", "--no-video", "--record-images"),
     ),
+    ("play",): (
+        {"": TEXTS, "--seed": NUMERALS, "--set": TEXTS, "--perception": TEXTS, "--out": TEXTS,
+         "--speed": NUMERALS, "--host": TEXTS, "--port": NUMERALS}, ()
+    ),
+    ("view",): ({"": TEXTS, "--html": TEXTS, "--host": TEXTS, "--port": NUMERALS}, ("--force",)),
     ("report",): ({"": TEXTS}, ()),
     ("export",): ({"": TEXTS, "--format": TEXTS, "--out": TEXTS}, ("--force",)),
     ("topology",): ({"": TEXTS, "--out": TEXTS}, ("--force",)),

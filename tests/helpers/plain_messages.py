@@ -10,6 +10,9 @@ from skyherd.recording.json_codec import to_json
 def assert_valid(value: Any, schema: dict[str, Any], where: str = "") -> None:
     """Check that a value has exactly its schema's properties, each of the right type."""
     types = {"object": dict, "array": list, "string": str, "integer": int, "number": (int, float)}
+    if schema["type"] == "boolean":
+        assert isinstance(value, bool), where
+        return
     assert isinstance(value, types[schema["type"]]) and not isinstance(value, bool), where
     for item in value if schema["type"] == "array" else ():
         assert_valid(item, schema["items"], f"{where}[]")

@@ -48,7 +48,7 @@ def test_image_is_decoded_again() -> None:
 
 def test_transforms_rotate_counter_clockwise() -> None:
     """By Foxglove's own example: a quarter turn maps (1, 0) of the child to (x, y + 1)."""
-    message = plain(foxglove.frame_transforms(2.0, "ground", {"robot": (1.0, 2.0, np.pi / 2)}))
+    message = plain(foxglove.frame_transforms(2.0, "ground", {"robot": (1.0, 2.0, 3.0, np.pi / 2)}))
     assert_valid(message, foxglove.TRANSFORMS[1])
     (transform,) = message["transforms"]
     z, w = transform["rotation"]["z"], transform["rotation"]["w"]

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skyherd.analysis.radio_check import foresee_radio
 from skyherd.cli.run import _warn_of_the_radio
 from skyherd.datasets import NetworkModel
 from skyherd.datasets.configuration.mission import make_mission
@@ -155,6 +156,31 @@ def test_a_mission_without_relays_is_told_what_comes_of_it(capsys) -> None:
     tree = random_mission(3, Crowd(5, 4, "chain")) | {"network": {"range_m": 9.0, "relay": False}}
     _warn_of_the_radio(make_mission(tree))
     assert "network.relay is false" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("kinds", "unit_1_m", "warnings"),
+    [
+        (("keep-in-view", "keep-in-view", "hover"), (0.0, 0.0), []),
+        (
+            ("keep-in-view", "follow", "perimeter"),
+            (0.0, 0.0),
+            ["units 1, 2 may fly out of network.range_m; only flight.kind"],
+        ),
+        (("keep-in-view", "keep-in-view", "hover"), (90.0, 0.0), ["units 0 and 1 may lose their radio link"]),
+        (("hover", "hover", "hover"), (90.0, 0.0), []),
+    ],
+)
+def test_mission_warns_of_radio_links_that_flight_may_break(kinds, unit_1_m, warnings) -> None:
+    """Three units of a crowd; from 90 m away unit 1 sees no robot."""
+    tree = random_mission(3, Crowd(3, 5)) | {"network": {"range_m": 120.0}}
+    for unit, kind in zip(tree["units"], kinds, strict=True):
+        unit |= {"position_m": (0.0, 0.0), "height_m": 15.0, "flight": {"kind": kind}}
+    tree["units"][1]["position_m"] = unit_1_m
+    tree["units"][2]["position_m"] = (-1.0, -1.0)
+    found = foresee_radio(make_mission(tree))
+    assert len(found) == len(warnings)
+    assert all(text.startswith(start) for text, start in zip(found, warnings, strict=True))
 
 
 def test_units_out_of_range_do_not_hear_one_another() -> None:

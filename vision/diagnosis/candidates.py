@@ -1,9 +1,9 @@
-"""Where in an image a marker could be: what a detector rejects, and what it cannot see.
+"""Where in an image a marker could be whose outline the detector's search does not find.
 
-Four kinds of candidates are searched for: dark quadrilaterals, as OpenCV finds them at several settings; dark
-patches that are nearly square; dark shapes that are cut by the image's border, with squares laid through
-their remaining corners; and groups of bright spots, around which a square is guessed whose own outline cannot
-be seen. Many of them are no markers; `skyherd.vision.diagnosis.quad_reading` reads them all.
+Three kinds of candidates are searched for: dark patches that are nearly square; dark shapes that are cut by
+the image's border, with squares laid through their remaining corners; and groups of bright spots, around
+which a square is guessed whose own outline cannot be seen. Many of them are no markers;
+`skyherd.vision.diagnosis.quad_reading` reads them.
 """
 
 from typing import Any
@@ -13,27 +13,20 @@ import numpy as np
 import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray
-from skyherd.markers.dictionary import border_cells, cells_per_side, load_dictionary
+from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.grey import Image
 
 MIN_CANDIDATE_SIDE_PX = 6.0
 """Smallest side of a candidate, px. Chosen smaller than that of any detector, so that what is too small to be
 detected is found and can be explained: a 4x4 marker then has a pixel a cell."""
 
-MAX_PERIMETER_RATE = 8.0
-"""Largest perimeter of an outline over the image's longer side. Derived: twice that of a square as large as
-the image, so that no marker is too large."""
-
 THRESHOLDS = (14, 6)
-"""How much darker than its surroundings an outline must be in each pass, grey levels. Chosen: the first as in
-detectors, the second for faint markers."""
+"""How much darker than its surroundings a shape must be in each pass, grey levels. Chosen: the second for
+faint markers."""
 
-MAX_ENLARGED_PIXELS = 4_000_000
-"""Images of more pixels are not searched at twice their size. Chosen: for the time that it takes."""
-
-MIN_WINDOW_PX, MAX_WINDOW_PX, WINDOW_STEP_PX = 5, 53, 16
-"""Widths, px, of the surroundings that outlines are compared with: from, to and step. Chosen: from the edge
-of a small marker to a marker of 50 px; larger ones are found by their edges."""
+MIN_WINDOW_PX = 53
+"""Smallest width, px, of the surroundings that dark shapes are compared with. Chosen: larger than a marker of
+50 px; in images of more than 300 px it is a sixth of the shorter side."""
 
 CLOSINGS_PX = (3, 5, 9, 17, 33)
 """Gaps, px, over which bright spots are taken as one group, one after the other. Chosen: each about twice the
@@ -59,38 +52,8 @@ SQUARENESS_DEG = 35.0
 do."""
 
 
-def dark_quads(image: Image, dictionary: str) -> list[Array]:
-    """Return quadrilaterals (4, 2), px, darker than what is around them, accepted by OpenCV or rejected.
-
-    An image (height, width) of no more than `MAX_ENLARGED_PIXELS` is searched at twice its size too, which
-    finds outlines of a few pixels.
-    """
-    found = [quad for constant in THRESHOLDS for quad in _opencv_quads(image, dictionary, constant)]
-    if image.size <= MAX_ENLARGED_PIXELS:
-        large = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
-        quads = _opencv_quads(np.asarray(large, dtype=np.uint8), dictionary, THRESHOLDS[0])
-        found += [(quad + 0.5) / 2 - 0.5 for quad in quads]
-    return found
-
-
-def _opencv_quads(image: Image, dictionary: str, constant: int) -> list[Array]:
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.minMarkerPerimeterRate = 4 * MIN_CANDIDATE_SIDE_PX / max(image.shape)
-    parameters.maxMarkerPerimeterRate = MAX_PERIMETER_RATE
-    parameters.adaptiveThreshWinSizeMin = MIN_WINDOW_PX
-    parameters.adaptiveThreshWinSizeMax = MAX_WINDOW_PX
-    parameters.adaptiveThreshWinSizeStep = WINDOW_STEP_PX
-    parameters.adaptiveThreshConstant = constant
-    parameters.polygonalApproxAccuracyRate = 0.05
-    parameters.minDistanceToBorder = 0
-    parameters.perspectiveRemovePixelPerCell = 8
-    detector = cv2.aruco.ArucoDetector(load_dictionary(dictionary), parameters)
-    accepted, _, rejected = detector.detectMarkers(image)
-    return [np.reshape(quad, (4, 2)).astype(float) for quad in (*accepted, *rejected)]
-
-
-def dark_patches(image: Image) -> list[Array]:
-    """Return the smallest rectangles (4, 2), px, around dark patches, if they are nearly square.
+def dark_patches(image: Image) -> Array:
+    """Return the smallest rectangles (N, 4, 2), px, around dark patches, if they are nearly square.
 
     Markers that are covered in part look like this.
     """
@@ -102,19 +65,19 @@ def dark_patches(image: Image) -> list[Array]:
             shorter, longer = sorted(rectangle[1])
             if shorter > MIN_CANDIDATE_SIDE_PX and longer < 1.2 * shorter:
                 quads.append(cv2.boxPoints(rectangle).astype(float))
-    return quads
+    return _stacked(quads)
 
 
 def _dark(image: Image) -> list[Image]:
     """Return masks of what is dark against its wider surroundings, one for each threshold."""
-    window = max(MAX_WINDOW_PX, 2 * (min(image.shape) // 12) + 1)
+    window = max(MIN_WINDOW_PX, 2 * (min(image.shape) // 12) + 1)
     mean, below = cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV
     masks = [cv2.adaptiveThreshold(image, 255, mean, below, window, constant) for constant in THRESHOLDS]
     return [np.asarray(mask, dtype=np.uint8) for mask in masks]
 
 
-def cut_squares(image: Image, dictionary: str) -> list[Array]:
-    """Return squares (4, 2), px, through the corners left of dark shapes that the image's border cuts."""
+def cut_squares(image: Image, dictionary: str) -> Array:
+    """Return squares (N, 4, 2), px, through the corners left of dark shapes that the image's border cuts."""
     height, width = image.shape
     squares: list[Array] = []
     for dark in _dark(image):
@@ -126,7 +89,7 @@ def cut_squares(image: Image, dictionary: str) -> list[Array]:
             touches = u.min() < 1 or v.min() < 1 or u.max() > width - 2 or v.max() > height - 2
             if touches and cv2.contourArea(contour) > MIN_CANDIDATE_SIDE_PX**2:
                 squares += _complete(contour, (width, height), cells_per_side(dictionary))
-    return squares
+    return _stacked(squares)
 
 
 def _complete(contour: npt.NDArray[Any], size_px: tuple[int, int], n: int) -> list[Array]:
@@ -164,8 +127,8 @@ def _square(first: Array, second: Array, towards: Array) -> Array:
     return np.array([first, second, second + across, first + across])
 
 
-def bright_groups(image: Image, dictionary: str) -> list[Array]:
-    """Return squares (4, 2), px, around groups of bright spots on dark: outlines that cannot be seen.
+def bright_groups(image: Image, dictionary: str) -> Array:
+    """Return squares (N, 4, 2), px, around groups of bright spots on dark: outlines that cannot be seen.
 
     A rectangle around a marker's white cells is that of its bits, or lacks a row or two that are all black;
     every such completion is tried, and kept if its border of cells is dark.
@@ -185,14 +148,16 @@ def bright_groups(image: Image, dictionary: str) -> list[Array]:
             large = [c for c in contours if cv2.contourArea(c) > (MIN_CANDIDATE_SIDE_PX * bits / n) ** 2]
             for contour in sorted(large, key=cv2.contourArea, reverse=True)[:MAX_GROUPS]:
                 squares += _grow(contour, bits, border)
-    return _with_dark_border(np.asarray(smooth, dtype=np.uint8), squares, n, border)
+    return _with_dark_border(np.asarray(smooth, dtype=np.uint8), _stacked(squares), n, border)
 
 
-def _with_dark_border(image: Image, squares: list[Array], n: int, border: int) -> list[Array]:
-    """Return the squares of n x n cells with a dark border and a lighter inside, at the cells' middles."""
-    if not squares:
-        return []
-    corners = np.stack(squares)
+def _stacked(quads: list[Array]) -> Array:
+    """Return quadrilaterals as an array (N, 4, 2)."""
+    return np.array(quads).reshape(-1, 4, 2)
+
+
+def _with_dark_border(image: Image, corners: Array, n: int, border: int) -> Array:
+    """Return the squares (N, 4, 2) of n x n cells that have a dark border and a lighter inside."""
     at = (np.arange(n) + 0.5) / n
     right, down = corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]
     places = (
@@ -207,7 +172,7 @@ def _with_dark_border(image: Image, squares: list[Array], n: int, border: int) -
     black = np.median(levels[:, rim], axis=1)
     white = np.percentile(levels[:, ~rim], 85, axis=1)
     dark = (levels[:, rim] < ((black + white) / 2)[:, None]).mean(axis=1) >= DARK_SHARE
-    return [corners[k] for k in np.flatnonzero(dark & (white - black > BRIGHTER))]
+    return np.asarray(corners[dark & (white - black > BRIGHTER)])
 
 
 def _grow(contour: npt.NDArray[Any], bits: int, border: int) -> list[Array]:

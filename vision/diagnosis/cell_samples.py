@@ -3,8 +3,9 @@
 import cv2
 import numpy as np
 
-from skyherd.geometry import Array
-from skyherd.vision.grey import Image
+from skyherd.geometry import Array, BoolArray, to_complex
+from skyherd.vision.grey import Image, sample_grey
+from skyherd.vision.search.decode import square_to_quads
 
 PER_CELL = 3
 """Samples of a cell along each axis on which likeness is measured. Chosen odd, so that one lies in the
@@ -49,3 +50,27 @@ def sample_cells(image: Image, image_cells: Array, n: int) -> Array:
         u, v = points[..., 0] / points[..., 2], points[..., 1] / points[..., 2]
     inside = (u > -0.5) & (v > -0.5) & (u < image.shape[1] - 0.5) & (v < image.shape[0] - 0.5)
     return np.where(inside, samples, np.nan)
+
+
+def sample_middles(image: Image, quads_px: Array, n: int) -> tuple[Array, BoolArray]:
+    """Return the levels (N, n²) of the middles of n x n cells, and which of them lie in the image.
+
+    The levels are those of `sample_cells` at the same places.
+
+    Args:
+        image: grey, (height, width).
+        quads_px: (N, 4, 2) corners, in order around each.
+        n: cells along a side.
+    """
+    corners = to_complex(quads_px)
+    fine = (np.arange(FINE) + 0.5) / (FINE * PER_CELL) + (PER_CELL // 2) / PER_CELL
+    at = (np.arange(n)[:, None] + fine).ravel() / n
+    grey = sample_grey(image, square_to_quads(corners, at[None, :], at[:, None]))
+    levels = grey.reshape(len(corners), n, FINE, n, FINE).mean(axis=(2, 4))
+    middle = (np.arange(n) + 0.5) / n
+    places = square_to_quads(corners, middle[None, :], middle[:, None])
+    height, width = image.shape
+    inside = (abs(places.real - (width - 1) / 2) < width / 2) & (
+        abs(places.imag - (height - 1) / 2) < height / 2
+    )
+    return levels.reshape(len(corners), -1), inside.reshape(len(corners), -1)

@@ -8,18 +8,17 @@ to find the test that they would fail.
 """
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from skyherd.geometry import Array
 from skyherd.markers.dictionary import card_side, cells_per_side, code_distance
 from skyherd.messages import Detections
 from skyherd.vision.detectors.registry import create_detector
-from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches, dark_quads
-from skyherd.vision.diagnosis.quad_reading import PROMISING, Reading, read_likely, read_quad
+from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches
+from skyherd.vision.diagnosis.places import first_of_each_place, lie_on_markers
+from skyherd.vision.diagnosis.quad_reading import Reading, read_grown, read_quad, show_all_bits
 from skyherd.vision.diagnosis.reasons import (
     CERTAIN,
     Measured,
@@ -35,14 +34,10 @@ from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.image_noise import image_noise
-from skyherd.vision.photometric.likelihood import MarkerOdds, marker_odds, min_log_odds
+from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
 from skyherd.vision.photometric.verify import Quantity, verification_tests
 from skyherd.vision.search.decode import decode_quads
 from skyherd.vision.search.edges import fit_edges
-
-GROWTHS_PX = (0.5, 1.0)
-"""By how much a contour is moved outwards and read again, px. Derived: thresholds lose up to a pixel of an
-edge."""
 
 REACH = 0.6
 """A candidate centred within this share of a detected card's side from its centre is part of that card.
@@ -58,8 +53,8 @@ VISIBLE_EXPONENT = 0.25
 RIVALS = ("another marker", "bits by chance", "a light rectangle", "another grid")
 """What a candidate may be instead of a marker, in the order of `MarkerOdds.against`."""
 
-GUESS, SURE, MIN_VISIBLE = 0.75, 0.93, 0.4
-"""Likeness at first and second look, and share in the image, that make a guessed square a marker. Chosen
+SURE, MIN_VISIBLE = 0.93, 0.4
+"""Likeness and share in the image that make a guessed square a marker, if all of its bits are right. Chosen
 high, since many squares are guessed and chance is like some marker too."""
 
 
@@ -72,8 +67,9 @@ class Rejection:
         measured: the quantity that fails, with its limit; None if the reason is no quantity.
         reading: what its cells read.
         words: the reason with its numbers, and what to do about it.
-        log_odds: natural logarithm of the odds that it is a marker, at its edges; -inf if that is hopeless.
-        rival: what else it is most likely to be.
+        log_odds: natural logarithm of the odds that it is a marker, at its edges; -inf if that is hopeless
+            or it has no bits.
+        rival: what else it is most likely to be; empty if it has no bits.
     """
 
     reason: Reason
@@ -111,36 +107,43 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
     image, detector = check_grey(image), PhotometricDetector(dictionary, following=False, repeats=True)
     if detections is None:
         detections = create_detector(dictionary=dictionary).detect(image)
-    suspects: list[Suspect] = []
-    for suspect in sorted(_all_suspects(image, detector, detections), key=_rank, reverse=True):
-        if not _is_part(suspect.reading, suspects):
-            suspects.append(suspect)
+    suspects = sorted(_all_suspects(image, detector, detections), key=_rank, reverse=True)
+    suspects = [suspects[row] for row in first_of_each_place(_corners_px(suspects))]
     there = Counter(detections.ids.tolist())
     there.update(s.reading.nearest_id for s in suspects if s.good or _is_exact(s.reading))
-    rejections = []
-    odds = _odds(image, [suspect.reading.corners_px for suspect in suspects], dictionary)
-    for suspect, log_odds, against in zip(suspects, odds.log_odds.tolist(), odds.against, strict=True):
-        reading = suspect.reading
+    likely, plain = list[tuple[Suspect, Reason, Measured | None]](), list[Rejection]()
+    for suspect in suspects:
         if not suspect.seen:
-            suspect = replace(suspect, failed=_failed_all_the_same(image, detector, reading))
-        again = there[reading.nearest_id] > 1
-        reason, measured = find_reason(suspect, again=again)
-        if reason is Reason.NO_BITS and not is_dark(reading):
-            continue
-        rival = RIVALS[int(np.argmin(np.nan_to_num(against, nan=np.inf)))]
-        words = describe(reason, measured, reading, dictionary)
+            suspect = replace(suspect, failed=_failed_all_the_same(image, detector, suspect.reading))
+        reason, measured = find_reason(suspect, again=there[suspect.reading.nearest_id] > 1)
+        if reason is not Reason.NO_BITS:
+            likely.append((suspect, reason, measured))
+        elif is_dark(suspect.reading):
+            words = describe(reason, measured, suspect.reading, dictionary)
+            plain.append(Rejection(reason, measured, suspect.reading, words, -np.inf, ""))
+    return _with_odds(image, dictionary, likely) + plain
+
+
+def _with_odds(
+    image: Image, dictionary: str, likely: list[tuple[Suspect, Reason, Measured | None]]
+) -> list[Rejection]:
+    """Return the rejections of what resembles markers, with the evidence at the poses by their edges."""
+    edges = fit_edges(image, _corners_px([suspect for suspect, _, _ in likely]), cells_per_side(dictionary))
+    odds = marker_odds(image, edges.corners_px, dictionary)
+    rejections, least = [], min_log_odds(dictionary)
+    for row, (suspect, reason, measured) in enumerate(likely):
+        log_odds = float(odds.log_odds[row])
+        rival = RIVALS[int(np.argmin(np.nan_to_num(odds.against[row], nan=np.inf)))]
+        words = describe(reason, measured, suspect.reading, dictionary)
         if np.isfinite(log_odds):
-            least = min_log_odds(dictionary)
             words += f"; log odds of a marker {log_odds:.1f} against {rival}, at least {least:.1f}"
-        rejections.append(Rejection(reason, measured, reading, words, log_odds, rival))
-    return sorted(rejections, key=lambda rejection: rejection.reason is Reason.NO_BITS)
+        rejections.append(Rejection(reason, measured, suspect.reading, words, log_odds, rival))
+    return rejections
 
 
-def _odds(image: Image, corners_px: list[Array], dictionary: str) -> MarkerOdds:
-    """Return the evidence that candidates are markers, at the poses by their edges."""
-    corners = np.array(corners_px).reshape(-1, 4, 2)
-    edges = fit_edges(image, corners, cells_per_side(dictionary))
-    return marker_odds(image, edges.corners_px, dictionary)
+def _corners_px(suspects: list[Suspect]) -> Array:
+    """Return the corners (N, 4, 2) of suspects, px."""
+    return np.array([suspect.reading.corners_px for suspect in suspects]).reshape(-1, 4, 2)
 
 
 def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detections) -> list[Suspect]:
@@ -150,47 +153,46 @@ def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detec
     """
     dictionary = detector.dictionary
     first, second = detector.searches(image)
-    reach_px = REACH * card_side(dictionary) * detections.sides_px
+    reaches_px = REACH * card_side(dictionary) * detections.sides_px
 
-    def is_known(corners_px: Array) -> bool:
-        return _is_known(corners_px, detections.centers_px, reach_px)
+    def unknown(quads_px: Array) -> Array:
+        return quads_px[~lie_on_markers(quads_px, detections.centers_px, reaches_px)]
 
     noise, distance = image_noise(image), code_distance(dictionary)
     suspects: list[Suspect] = []
     for look, beside in ((first, None), (second, first.found)):
         fits = look.fits if beside is None else beside.joined(look.fits)
         tests = verification_tests(fits, noise, distance) if fits.ids.size else []
-        for row, corners_px in enumerate(look.candidates.corners_px):
-            if not is_known(corners_px):
-                failed = failed_test(tests, fits.ids.size - look.fits.ids.size + row)
-                reading = _read_grown(image, corners_px, dictionary)
-                good = bool(look.good[row])
-                suspects.append(Suspect(reading, True, True, good, None if good else failed))
-        unread = [quad for quad in look.quads_px if not is_known(quad)]
-        suspects += [Suspect(_read_grown(image, quad, dictionary), seen=True) for quad in unread]
+        known = lie_on_markers(look.candidates.corners_px, detections.centers_px, reaches_px)
+        for row in np.flatnonzero(~known).tolist():
+            failed = failed_test(tests, fits.ids.size - look.fits.ids.size + row)
+            reading = read_grown(image, look.candidates.corners_px[row], dictionary)
+            good = bool(look.good[row])
+            suspects.append(Suspect(reading, True, True, good, None if good else failed))
+        suspects += [
+            Suspect(read_grown(image, quad, dictionary), seen=True) for quad in unknown(look.quads_px)
+        ]
     size_px = np.array([image.shape[1], image.shape[0]])
     suspects = [s for s in suspects if s.good or _is_exact(s.reading) or not is_cut(s.reading, size_px)]
-    unseen = _read_unseen(image, dictionary, is_known)
+    patches = [read_grown(image, quad, dictionary) for quad in unknown(dark_patches(image))]
+    guesses = unknown(np.concatenate([cut_squares(image, dictionary), bright_groups(image, dictionary)]))
+    unseen = _whole_or_sure(image, patches) + _sure_guesses(image, guesses, dictionary)
     return suspects + [Suspect(reading, seen=False) for reading in unseen]
 
 
-def _read_unseen(image: Image, dictionary: str, is_known: Callable[[Array], bool]) -> list[Reading]:
-    """Return readings of what the search may not have found.
+def _whole_or_sure(image: Image, readings: list[Reading]) -> list[Reading]:
+    """Return readings without those that reach the image's border, which may be their outline.
 
-    Guessed squares count only if they read without a fault. So do squares that touch the border, whose
-    outline may be the border itself.
+    Such a reading counts if it reads without a fault.
     """
     size_px = np.array([image.shape[1], image.shape[0]])
-    outlines = [*dark_quads(image, dictionary), *dark_patches(image)]
-    guesses = [*cut_squares(image, dictionary), *bright_groups(image, dictionary)]
-    seen = [_read_grown(image, quad, dictionary) for quad in outlines if not is_known(quad)]
-    whole = [reading for reading in seen if not is_cut(reading, size_px)]
-    doubtful = [reading for reading in seen if is_cut(reading, size_px)]
-    likely = (read_likely(image, quad, dictionary, GUESS) for quad in guesses if not is_known(quad))
-    doubtful += [reading for reading in likely if reading is not None]
-    return whole + [
-        r for r in doubtful if r.likeness >= SURE and r.wrong_bits == 0 and r.visible >= MIN_VISIBLE
-    ]
+    return [reading for reading in readings if not is_cut(reading, size_px) or _is_sure(reading)]
+
+
+def _sure_guesses(image: Image, quads_px: Array, dictionary: str) -> list[Reading]:
+    """Return readings of the guessed squares (N, 4, 2) that read without a fault."""
+    shown = show_all_bits(image, quads_px, dictionary, MIN_VISIBLE)
+    return [r for r in (read_quad(image, quad, dictionary) for quad in quads_px[shown]) if _is_sure(r)]
 
 
 def _failed_all_the_same(
@@ -207,21 +209,14 @@ def _failed_all_the_same(
     return failed_test(verification_tests(fits, image_noise(image), code_distance(detector.dictionary)), 0)
 
 
-def _read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
-    """Return the most marker-like reading of a contour moved outwards; thresholds lose up to a pixel."""
-    center = corners_px.mean(axis=0)
-    reach = float(np.linalg.norm(corners_px - center, axis=1).mean()) / np.sqrt(2)
-    readings = [read_quad(image, corners_px, dictionary)]
-    if readings[0].likeness > PROMISING:
-        readings += [
-            read_quad(image, _grown(corners_px, 1 + grow / reach), dictionary) for grow in GROWTHS_PX
-        ]
-    return max(readings, key=_likeness)
-
-
 def _is_exact(reading: Reading) -> bool:
     """Return whether it is plainly a marker, with no wrong bit, and no mirror image of one."""
     return reading.wrong_bits == 0 and reading.likeness >= CERTAIN and not reading.mirrored
+
+
+def _is_sure(reading: Reading) -> bool:
+    """Return whether a square without an outline of its own is a marker, as far as its cells show."""
+    return reading.likeness >= SURE and reading.wrong_bits == 0 and reading.visible >= MIN_VISIBLE
 
 
 def _rank(suspect: Suspect) -> tuple[float, bool]:
@@ -239,35 +234,3 @@ def _reads_well(reading: Reading) -> bool:
     """Return whether it reads without a fault, mirrored or not, or has a clear frame."""
     exact = reading.likeness >= CERTAIN and reading.wrong_bits == 0
     return exact or (is_clear(reading) and is_dark(reading))
-
-
-def _contains(corners_px: Array, point_px: Array) -> bool:
-    return (
-        cv2.pointPolygonTest(corners_px.astype(np.float32), (float(point_px[0]), float(point_px[1])), False)
-        > 0
-    )
-
-
-def _grown(corners_px: Array, factor: float) -> Array:
-    center = corners_px.mean(axis=0)
-    return np.asarray(center + factor * (corners_px - center))
-
-
-def _is_known(corners_px: Array, centers_px: Array, reach_px: Array) -> bool:
-    """Return whether a quadrilateral is, lies on, or surrounds one of the detections at centres (N, 2)."""
-    center = corners_px.mean(axis=0)
-    distances = np.linalg.norm(centers_px - center, axis=1)
-    if (distances < reach_px).any():
-        return True
-    extent = np.linalg.norm(corners_px - center, axis=1).max()
-    return any(_contains(corners_px, centers_px[k]) for k in np.flatnonzero(distances < extent))
-
-
-def _is_part(reading: Reading, better: list[Suspect]) -> bool:
-    """Return whether it shares its place with a better candidate."""
-    center = reading.corners_px.mean(axis=0)
-    return any(
-        _contains(other.reading.corners_px, center)
-        or _contains(reading.corners_px, other.reading.corners_px.mean(axis=0))
-        for other in better
-    )

@@ -14,7 +14,13 @@ import numpy.typing as npt
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.blurred_cells import MIN_DEVIATION, correlations, standardised
-from skyherd.vision.diagnosis.cell_samples import PER_CELL, cell_extents_px, image_from_cells, sample_cells
+from skyherd.vision.diagnosis.cell_samples import (
+    PER_CELL,
+    cell_extents_px,
+    image_from_cells,
+    sample_cells,
+    sample_middles,
+)
 from skyherd.vision.diagnosis.templates import (
     FIRST_BLUR_CELLS,
     Templates,
@@ -34,6 +40,10 @@ PROMISING = 0.5
 """Likeness at the first blur below which nothing finer is measured. Chosen low: it saves time on what is
 plainly no marker."""
 
+GROWTHS_PX = (0.5, 1.0)
+"""By how much a contour is moved outwards and read again, px. Derived: thresholds lose up to a pixel of an
+edge."""
+
 FRAME_SHARE = 0.75
 """Share of the border's cells that must be dark for a frame. Chosen: one side of four may be lost."""
 
@@ -43,6 +53,9 @@ MIN_CELLS = 4
 WHITE_PERCENTILE = 85
 """Percentile of the inner cells that is taken as white. Chosen: at least an eighth of a marker's bits are
 white, and the brightest few may be glare."""
+
+QUADS_AT_ONCE = 4096
+"""Number of quadrilaterals that are sampled at once. Chosen: bounds the memory."""
 
 FIRST_MIDDLE = 128.0
 """Level between black and white if no inner cell is in the image: the middle of the 8-bit range."""
@@ -120,18 +133,64 @@ def read_quad(image: Image, corners_px: Array, dictionary: str) -> Reading:
     Raises:
         InputError: there is no such dictionary.
     """
+    return _read_sight(_look(image, corners_px, dictionary))
+
+
+def read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
+    """Return what a contour (4, 2) holds, moved outwards by up to `GROWTHS_PX`, most like a marker."""
     sight = _look(image, corners_px, dictionary)
-    return _read(sight, _first_match(sight) if sight.likeness < PROMISING else _nearest(sight))
+    if sight.likeness < PROMISING:
+        return _read_sight(sight)
+    center = corners_px.mean(axis=0)
+    reach = float(np.linalg.norm(corners_px - center, axis=1).mean()) / np.sqrt(2)
+    grown = [center + (1 + growth / reach) * (corners_px - center) for growth in GROWTHS_PX]
+    sights = [sight, *(_look(image, corners, dictionary) for corners in grown)]
+    matches = [_nearest(sight) for sight in sights]
+    best = max(range(len(sights)), key=lambda k: matches[k].likeness)
+    return _read(sights[best], matches[best])
 
 
-def read_likely(image: Image, corners_px: Array, dictionary: str, least: float) -> Reading | None:
-    """Return what a quadrilateral holds, or None if its likeness at the first blur is below `least`.
+def show_all_bits(image: Image, quads_px: Array, dictionary: str, min_visible: float) -> BoolArray:
+    """Return which quadrilaterals show all bits of a marker or of its mirror image, in any turn.
 
-    That look is all that is needed of most squares that are guessed rather than seen. Otherwise as
-    `read_quad`, but that other blurs are tried from `least` on.
+    Cells off the image may be any, up to a share. This needs no reading of what is plainly no marker.
+
+    Args:
+        image: grey, (height, width).
+        quads_px: (N, 4, 2) corners, in order around each; they may lie outside the image.
+        dictionary: whose markers are considered.
+        min_visible: smallest share of the cells in the image.
+
+    Raises:
+        InputError: there is no such dictionary.
     """
-    sight = _look(image, corners_px, dictionary)
-    return None if sight.likeness < least else _read(sight, _nearest(sight))
+    n, border = cells_per_side(dictionary), border_cells(dictionary)
+    white = load_templates(dictionary).white.reshape(-1, n * n)
+    signs = np.where(white, 1, -1).astype(np.float32)
+    is_inner = np.zeros((n, n), dtype=bool)
+    is_inner[border:-border, border:-border] = True
+    shown = np.zeros(len(quads_px), dtype=bool)
+    for first in range(0, len(quads_px), QUADS_AT_ONCE):
+        part = slice(first, first + QUADS_AT_ONCE)
+        levels, seen = sample_middles(image, quads_px[part], n)
+        levels = np.where(seen, levels, np.nan)
+        black = _percentiles(levels[:, ~is_inner.ravel()], 50)
+        bright = _percentiles(levels[:, is_inner.ravel()], WHITE_PERCENTILE)
+        middle = np.where(np.isfinite(bright), (black + bright) / 2, FIRST_MIDDLE)
+        bits = np.where(seen, np.where(levels > middle[:, None], 1, -1), 0).astype(np.float32)
+        right = (bits @ signs.T).max(axis=1) == seen.sum(axis=1)
+        shown[part] = right & (seen.mean(axis=1) >= min_visible)
+    return shown
+
+
+def _percentiles(values: Array, percent: float) -> Array:
+    """Return a percentile of the finite values of each row of (N, K); not a number if there is none."""
+    ordered, count = np.sort(values, axis=1), np.isfinite(values).sum(axis=1)
+    place = np.maximum(count - 1, 0) * percent / 100
+    below = np.floor(place).astype(int)
+    above = np.minimum(below + 1, np.maximum(count - 1, 0))
+    low, high = (np.take_along_axis(ordered, k[:, None], axis=1)[:, 0] for k in (below, above))
+    return np.asarray(low + (place - below) * (high - low))
 
 
 @dataclass(frozen=True)
@@ -160,6 +219,11 @@ class _Sight:
     def levels(self) -> Array:
         """Return levels (n + 2, n + 2) of the middles of cells and quiet zone."""
         return self.samples[PER_CELL // 2 :: PER_CELL, PER_CELL // 2 :: PER_CELL]
+
+
+def _read_sight(sight: _Sight) -> Reading:
+    """Return what a quadrilateral holds; by all samples and blurs if it may be a marker."""
+    return _read(sight, _first_match(sight) if sight.likeness < PROMISING else _nearest(sight))
 
 
 def _look(image: Image, corners_px: Array, dictionary: str) -> _Sight:
@@ -212,12 +276,8 @@ def _read(sight: _Sight, match: "Match") -> Reading:
 
 def _middle(border: Array, inner: Array) -> float:
     """Return level between black and white: half-way from the border to the brighter cells inside."""
-    bright = inner[np.isfinite(inner)]
-    return (
-        (_median(border) + float(np.percentile(bright, WHITE_PERCENTILE))) / 2
-        if bright.size
-        else FIRST_MIDDLE
-    )
+    bright = float(_percentiles(inner[None], WHITE_PERCENTILE)[0])
+    return (_median(border) + bright) / 2 if np.isfinite(bright) else FIRST_MIDDLE
 
 
 def _median(values: Array) -> float:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from skyherd.analysis.history import History, make_history
+from skyherd.analysis.radio_check import foresee_radio
 from skyherd.analysis.topology_report import judge_topology, predicted_time_s
 from skyherd.analysis.verdict import robots_of
 from skyherd.analysis.views import MIN_MARKER_PX, views_at
@@ -43,11 +44,12 @@ def living_sets(history: History) -> dict[int, IntArray]:
 def foresee(mission: Mission) -> list[str]:
     """Return warnings about a scenario, each a sentence without a full stop.
 
-    They name robots outside all views at the start, markers narrower than `MIN_MARKER_PX`, and a duration
-    below the predicted time.
+    They name robots outside all views at the start, markers narrower than `MIN_MARKER_PX`, radio links that
+    the units do not have or may lose, and a duration below the predicted time.
     """
     history, is_ready = deploy(mission)
-    return [*_of_views(history), *(_of_duration(history) if is_ready else [])]
+    duration = _of_duration(history) if is_ready else []
+    return [*_of_views(history), *foresee_radio(mission), *duration]
 
 
 def _of_views(history: History) -> Iterator[str]:

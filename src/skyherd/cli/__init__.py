@@ -30,12 +30,14 @@ from skyherd.cli.interrupts import (
 from skyherd.cli.live import live_app
 from skyherd.cli.live_processes import robot, unit, world
 from skyherd.cli.markers import markers
+from skyherd.cli.play import play
 from skyherd.cli.report import report
 from skyherd.cli.run import run
 from skyherd.cli.scenario import scenario_app
 from skyherd.cli.study import study
 from skyherd.cli.topology import topology
 from skyherd.cli.track import track
+from skyherd.cli.view import view
 from skyherd.errors import InputError, SkyherdError
 from skyherd.version import __version__
 
@@ -66,6 +68,8 @@ SIMULATE, MEASURE, STEER, DATA = "Simulate", "Detect and measure", "Steer real r
 """Titles in the list of verbs."""
 
 app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(run)
+app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(play)
+app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(view)
 app.add_typer(scenario_app, name="scenario", cls=HelpGroup, rich_help_panel=SIMULATE)
 app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(topology)
 app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(study)

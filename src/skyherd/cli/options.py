@@ -71,3 +71,12 @@ ForceFolder = Annotated[
 ]
 
 ForceFile = Annotated[bool, typer.Option("--force", help="Replace a file of an earlier call.")]
+
+PagePort = Annotated[
+    int, typer.Option(metavar="N", min=0, max=65535, help="Port of the page; 0 for any free one.")
+]
+
+PageHost = Annotated[
+    str,
+    typer.Option(metavar="ADDRESS", help="Address of the page; 127.0.0.1 is for this computer only."),
+]

@@ -104,25 +104,11 @@ def _warn_of_slow_cameras(mission: "Mission") -> None:
 
 
 def _warn_of_the_radio(mission: "Mission") -> None:
-    """Warn of units that cannot hear of each other, though the tree of units rests on it."""
-    from skyherd.sim.network import connected_parts
-    from skyherd.sim.physics import make_world
+    """Warn of units that negotiate a tree, but have no contact or may lose it in flight."""
+    from skyherd.analysis.radio_check import foresee_radio
 
-    scenario, in_range = mission.scenario, make_world(mission).in_range()
-    if in_range is None or scenario.selection.kind == "radius":
-        return
-    parts = connected_parts(in_range)
-    if len(parts) > 1:
-        units = " | ".join(", ".join(map(str, part)) for part in parts)
-        warn(
-            f"units {units} cannot reach each other at the start (network.range_m = "
-            f"{scenario.network.range_m:g}): each part forms its own tree until they are in range"
-        )
-    elif not scenario.network.relay and any(len(others) < len(in_range) for others in in_range):
-        warn(
-            "not every unit is in range of every other one, and network.relay is false: units out of range "
-            "count as dead, and TC1-TC5 do not hold"
-        )
+    for warning in foresee_radio(mission):
+        warn(warning)
 
 
 class _FirstImages:

@@ -22,12 +22,21 @@ class OutputFile:
         verb: the writing verb.
         force: accept an existing file, if the verb made it.
         inputs: files that are read, none of which may be replaced.
+        option: option of the command line that names the file.
 
     Entering raises InputError as `check` does, or if another process keeps the folder in use.
     """
 
-    def __init__(self, path: Path, verb: str, *, force: bool = False, inputs: Sequence[Path] = ()) -> None:
-        self.path, self._force = path, force
+    def __init__(
+        self,
+        path: Path,
+        verb: str,
+        *,
+        force: bool = False,
+        inputs: Sequence[Path] = (),
+        option: str = "--out",
+    ) -> None:
+        self.path, self._force, self._option = path, force, option
         self._folder = OutputFolder(path.parent, verb, [path.name], resume=True, inputs=inputs, wait_s=WAIT_S)
 
     def check(self) -> None:
@@ -40,7 +49,9 @@ class OutputFile:
         if not self.path.parent.is_dir():
             raise InputError(str(self.path), f"no folder {self.path.parent}", "make it first")
         if os.path.lexists(self.path) and not self._force:
-            raise InputError(str(self.path), "exists", "choose another --out, or replace it with --force")
+            raise InputError(
+                str(self.path), "exists", f"choose another {self._option}, or replace it with --force"
+            )
         self._folder.check()
 
     def __enter__(self) -> Self:

@@ -1,11 +1,12 @@
 """Messages in Foxglove's schemas, which MCAP viewers draw without configuration.
 
-Images are `foxglove.CompressedImage`, overlays `foxglove.ImageAnnotations`, and ground positions
-`foxglove.FrameTransforms`, all as JSON. Foxglove's pixel origin is the corner of the first pixel, ours its
-centre.
+Images are `foxglove.CompressedImage`, overlays `foxglove.ImageAnnotations`, poses `foxglove.FrameTransforms`,
+and bodies `foxglove.SceneUpdate`, all as JSON. Foxglove's pixel origin is the corner of the first pixel, ours
+its centre.
 """
 
 import base64
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -102,6 +103,11 @@ ANNOTATIONS: Schema = (
 )
 """Schema of image overlays."""
 
+_VECTOR = _object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
+_ROTATION = _object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER)
+_POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_ROTATION)
+_POINT3 = _object("foxglove.Point3", x=_NUMBER, y=_NUMBER, z=_NUMBER)
+
 TRANSFORMS: Schema = (
     "foxglove.FrameTransforms",
     _object(
@@ -112,13 +118,86 @@ TRANSFORMS: Schema = (
                 timestamp=_TIME,
                 parent_frame_id=_TEXT,
                 child_frame_id=_TEXT,
-                translation=_object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER),
-                rotation=_object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER),
+                translation=_VECTOR,
+                rotation=_ROTATION,
             )
         ),
     ),
 )
-"""Schema of ground positions."""
+"""Schema of poses."""
+
+_DURATION = _object("duration", sec={"type": "integer"}, nsec={"type": "integer"})
+_CUBE = _object("foxglove.CubePrimitive", pose=_POSE, size=_VECTOR, color=_COLOR)
+_CYLINDER = _object(
+    "foxglove.CylinderPrimitive",
+    pose=_POSE,
+    size=_VECTOR,
+    bottom_scale=_NUMBER,
+    top_scale=_NUMBER,
+    color=_COLOR,
+)
+_LINE = _object(
+    "foxglove.LinePrimitive",
+    type={"type": "integer"},
+    pose=_POSE,
+    thickness=_NUMBER,
+    scale_invariant={"type": "boolean"},
+    points=_list_of(_POINT3),
+    color=_COLOR,
+    colors=_list_of(_COLOR),
+    indices=_list_of({"type": "integer"}),
+)
+_TEXT3 = _object(
+    "foxglove.TextPrimitive",
+    pose=_POSE,
+    billboard={"type": "boolean"},
+    font_size=_NUMBER,
+    scale_invariant={"type": "boolean"},
+    color=_COLOR,
+    text=_TEXT,
+)
+
+SCENE: Schema = (
+    "foxglove.SceneUpdate",
+    _object(
+        "foxglove.SceneUpdate",
+        deletions=_list_of(_object("foxglove.SceneEntityDeletion", timestamp=_TIME, id=_TEXT)),
+        entities=_list_of(
+            _object(
+                "foxglove.SceneEntity",
+                timestamp=_TIME,
+                frame_id=_TEXT,
+                id=_TEXT,
+                lifetime=_DURATION,
+                frame_locked={"type": "boolean"},
+                metadata=_METADATA,
+                arrows=_list_of({"type": "object"}),
+                cubes=_list_of(_CUBE),
+                spheres=_list_of({"type": "object"}),
+                cylinders=_list_of(_CYLINDER),
+                lines=_list_of(_LINE),
+                triangles=_list_of({"type": "object"}),
+                texts=_list_of(_TEXT3),
+                models=_list_of({"type": "object"}),
+            )
+        ),
+    ),
+)
+"""Schema of bodies and lines in space."""
+
+_PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", "texts", "models")
+
+LINE_STRIP = 0
+"""Type of `foxglove.LinePrimitive`: a line through all points."""
+
+LINE_PX = 3.0
+"""Thickness of lines in the scene, px."""
+
+ORIGIN = {
+    "position": {"x": 0.0, "y": 0.0, "z": 0.0},
+    "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
+}
+"""Pose of an entity's frame."""
 
 
 def time_of(time_s: float) -> dict[str, int]:
@@ -205,18 +284,74 @@ def _color(color: str) -> dict[str, float]:
 
 
 def frame_transforms(
-    time_s: float, parent: str, places: Mapping[str, tuple[float, float, float]]
+    time_s: float, parent: str, places: Mapping[str, tuple[float, float, float, float]]
 ) -> dict[str, Any]:
-    """Return ground poses by name, x, y and angle about z in rad, in the schema `TRANSFORMS`."""
+    """Return poses by name, x, y and z in m and angle about z in rad, in the schema `TRANSFORMS`."""
     return {
         "transforms": [
             {
                 "timestamp": time_of(time_s),
                 "parent_frame_id": parent,
                 "child_frame_id": name,
-                "translation": {"x": x, "y": y, "z": 0.0},
-                "rotation": {"x": 0.0, "y": 0.0, "z": np.sin(angle_rad / 2), "w": np.cos(angle_rad / 2)},
+                "translation": {"x": x, "y": y, "z": z},
+                "rotation": {"x": 0.0, "y": 0.0, "z": math.sin(angle_rad / 2), "w": math.cos(angle_rad / 2)},
             }
-            for name, (x, y, angle_rad) in places.items()
+            for name, (x, y, z, angle_rad) in places.items()
         ]
+    }
+
+
+def scene_update(entities: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return entities in the schema `SCENE`; they replace those of the same id and topic."""
+    return {"deletions": [], "entities": entities}
+
+
+def entity(time_s: float, name: str, frame_id: str, **primitives: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return primitives, by kind, that move with a frame until they are replaced."""
+    return {
+        "timestamp": time_of(time_s),
+        "frame_id": frame_id,
+        "id": name,
+        "lifetime": time_of(0.0),
+        "frame_locked": True,
+        "metadata": [],
+        **{kind: list(primitives.get(kind, [])) for kind in _PRIMITIVES},
+    }
+
+
+def cube(size_m: tuple[float, float, float], color: str) -> dict[str, Any]:
+    """Return a box about the origin of its frame."""
+    x, y, z = size_m
+    return {"pose": ORIGIN, "size": {"x": x, "y": y, "z": z}, "color": _color(color)}
+
+
+def cylinder(diameter_m: float, height_m: float, color: str) -> dict[str, Any]:
+    """Return an upright cylinder about the origin of its frame."""
+    size = {"x": diameter_m, "y": diameter_m, "z": height_m}
+    return {"pose": ORIGIN, "size": size, "bottom_scale": 1.0, "top_scale": 1.0, "color": _color(color)}
+
+
+def line_strip(points_m: Array, color: str) -> dict[str, Any]:
+    """Return a line through points (N, 2) on the ground."""
+    return {
+        "type": LINE_STRIP,
+        "pose": ORIGIN,
+        "thickness": LINE_PX,
+        "scale_invariant": True,
+        "points": [{"x": x, "y": y, "z": 0.0} for x, y in points_m.tolist()],
+        "color": _color(color),
+        "colors": [],
+        "indices": [],
+    }
+
+
+def scene_text(text: str, color: str, size_px: float) -> dict[str, Any]:
+    """Return a text at the origin of its frame that faces the viewer."""
+    return {
+        "pose": ORIGIN,
+        "billboard": True,
+        "font_size": size_px,
+        "scale_invariant": True,
+        "color": _color(color),
+        "text": text,
     }

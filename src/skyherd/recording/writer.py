@@ -24,9 +24,11 @@ Topics, J being the number of a unit:
 /unit/J/map         map from the image to the ground, of a unit that rectifies
 /unit/J/truth       markers that were whole in the image, and which of them were detected
 /unit/J/image       the image, on request
+/unit/J/overlay     markers in that image
 /robots/command     wheel velocities
 /world              true positions of robots and units
 /interventions      changes made to the simulation since the last step; missing without any
+/scene/...          bodies, poses and shape for viewers (`skyherd.recording.scene`)
 /metrics            ground-truth metrics, last of a step
 ```
 
@@ -54,7 +56,7 @@ from skyherd.messages import (
     UnitReport,
     VelocityCommand,
 )
-from skyherd.recording import foxglove
+from skyherd.recording import foxglove, scene
 from skyherd.recording.mcap_log import McapLog, Schema
 from skyherd.sim.truth_metrics import TruthMetrics
 from skyherd.version import __version__
@@ -75,6 +77,7 @@ UNIT_TOPICS: Mapping[str, Schema] = {
     "map": ("skyherd.GroundMap", GroundMap),
     "truth": ("skyherd.SightTruth", OBJECT),
     "image": foxglove.IMAGE,
+    "overlay": foxglove.ANNOTATIONS,
 }
 """Topics of each unit, and their schemas."""
 
@@ -91,6 +94,7 @@ def recorded_topics(units: int) -> dict[str, Schema]:
         "/world": ("skyherd.World", OBJECT),
         "/metrics": ("skyherd.TruthMetrics", TruthMetrics),
     }
+    of_team |= scene.SCENE_TOPICS
     of_units = {
         f"/unit/{unit}/{name}": schema for unit in range(units) for name, schema in UNIT_TOPICS.items()
     }
@@ -142,7 +146,7 @@ class McapRecorder:
 
     def __init__(self, path: Path, mission: Mission, *, images: bool = False) -> None:
         self.images = images
-        self._step_s = mission.scenario.step_s
+        self._mission = mission
         topics = recorded_topics(len(mission.scenario.units))
         self._log = McapLog(path, topics)
         self._steps = 0
@@ -150,11 +154,12 @@ class McapRecorder:
         for _ in range(2):
             self._log.put("/mission", 0.0, record)
             self._log.flush()
+        self._log.put("/scene/bodies", 0.0, scene.bodies_message(mission))
 
     def write(self, step: Step) -> None:
         """Append all messages of one step, and flush if too much is pending."""
         for unit, frame in step.frames.items():
-            self._write_frame(f"/unit/{unit}", step.time_s, frame)
+            self._write_frame(unit, step.time_s, frame)
         self._log.put("/robots/command", step.time_s, step.command)
         world = {
             "positions_m": step.positions_m,
@@ -165,6 +170,8 @@ class McapRecorder:
         if step.interventions:
             changes = [intervention.model_dump(mode="json") for intervention in step.interventions]
             self._log.put("/interventions", step.time_s, {"interventions": changes})
+        self._log.put("/scene/poses", step.time_s, scene.poses_message(self._mission, step))
+        self._log.put("/scene/shape", step.time_s, scene.shape_message(self._mission, step))
         record = {field.name: getattr(step.metrics, field.name) for field in fields(TruthMetrics)} | {
             "control_sets": step.control_sets,
             "commanded_ids": step.commanded_ids,
@@ -172,7 +179,7 @@ class McapRecorder:
         }
         self._log.put("/metrics", step.time_s, record)
         self._steps += 1
-        self._log.flush_when_due(step.time_s, step.time_s + self._step_s)
+        self._log.flush_when_due(step.time_s, step.time_s + self._mission.scenario.step_s)
 
     def finish(self, time_s: float, wall_s: float) -> None:
         """Mark the run as complete.
@@ -185,7 +192,8 @@ class McapRecorder:
         self._log.flush()
         self._log.add_metadata("wall", {"wall_s": repr(wall_s)})
 
-    def _write_frame(self, topic: str, time_s: float, frame: UnitFrame) -> None:
+    def _write_frame(self, unit: int, time_s: float, frame: UnitFrame) -> None:
+        topic = f"/unit/{unit}"
         sight, decision = frame.sight, frame.decision
         self._log.put(f"{topic}/detections", time_s, sight.detections)
         if decision.goals is not None:
@@ -206,6 +214,7 @@ class McapRecorder:
         if self.images and sight.image is not None:
             record = foxglove.compressed_image(sight.image, time_s, topic, JPEG_QUALITY)
             self._log.put(f"{topic}/image", time_s, record)
+            self._log.put(f"{topic}/overlay", time_s, scene.overlay_message(unit, time_s, frame))
 
     def __enter__(self) -> Self:
         return self

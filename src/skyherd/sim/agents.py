@@ -18,17 +18,19 @@ from skyherd.geometry import IntArray
 from skyherd.messages import Detections, UnitReport
 from skyherd.sim.delays import min_report_delay_s
 from skyherd.sim.physics import read_unit_clock
-from skyherd.sim.robot_teams import make_camera_rule
+from skyherd.sim.robot_teams import make_camera_rule, make_lead_rule
 
 
 def make_controller(mission: Mission, unit: int) -> AerialController:
     """Make a controller for one unit of a mission, without any memory."""
     scenario = mission.scenario
     slowest_s = max(model.latency_s + REPORTS_MISSED / model.frame_rate_hz for model in scenario.units)
+    range_m = scenario.network.range_m
+    radio_range_sides = None if range_m is None else range_m / scenario.marker.side_m
     return AerialController(
         mission.schedule,
         make_selection(scenario.selection),
-        make_flight(scenario.units[unit].flight, mission.template),
+        make_flight(scenario.units[unit].flight, mission.template, radio_range_sides),
         rectifier=Rectifier() if scenario.control.rectify else None,
         nearest=scenario.control.neighbors,
         report_lifetime_s=max(REPORT_LIFETIME_S, slowest_s),
@@ -37,6 +39,7 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
         bodies=make_body_rule(scenario.avoidance, scenario.robots.body_radius_sides, scenario.obstacles),
         clock=TeamClock(min_report_delay_s(scenario)) if scenario.clocks_differ else None,
         camera=make_camera_rule(scenario) if scenario.control.camera_check else None,
+        lead=make_lead_rule(scenario, unit),
     )
 
 

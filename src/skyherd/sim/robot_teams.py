@@ -11,6 +11,7 @@ from skyherd.control import (
     GoalFollowers,
     GoalInboxes,
     LatencyCompensation,
+    LeadRule,
     MarkerGains,
     NeighborMemory,
     PixelGains,
@@ -170,6 +171,21 @@ def make_camera_rule(scenario: Scenario) -> CameraRule | None:
     )
 
 
+def make_lead_rule(scenario: Scenario, unit: int) -> LeadRule | None:
+    """Return the response of a scenario's robots by which a unit leads a moving shape; None if it rests."""
+    if not scenario.template.motion:
+        return None
+    control, model = scenario.control, scenario.units[unit]
+    age_s = whole_steps(model.latency_s + scenario.network.delay_s / 2, scenario.step_s)
+    age_s += 1 / (2 * model.frame_rate_hz) - scenario.step_s / 2 + scenario.robots.drive.delay_s
+    return LeadRule(
+        scenario.marker.side_m,
+        control.k,
+        turn_lag_s=0.0 if scenario.robots.drive.axis_offset_m else 1 / control.k_omega,
+        age_s=age_s if control.latency_compensation else 0.0,
+    )
+
+
 @dataclass(frozen=True)
 class Timing:
     """Ages of messages, and durations of commands, under the attribute names of `AvoidanceRule`.
@@ -215,6 +231,7 @@ def make_avoidance_rule(
         superseded_age_s=timing.superseded_age_s,
         step_s=timing.step_s,
         lag_s=lag_s,
+        brakes_s=brakes_s,
         overshoot=drive.gain_error + SLIP_DEVIATIONS * drive.slip,
         creep_mps=drive.wheel_step_mps / 2,
         turn_error_radps=2 * wheel_mps / drive.track_m + SLIP_DEVIATIONS * drive.slip * wheels.max_turn_radps,

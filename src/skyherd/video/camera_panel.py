@@ -116,6 +116,11 @@ class CameraPanel:
         self._show_nothing(self.color)
         self._write_title(f"unit {unit} · no image yet")
 
+    @property
+    def picture(self) -> RgbImage:
+        """Part of the cell with the image, as a view."""
+        return self._picture
+
     def to_panel(self, points_px: Array) -> Array:
         """Map points (..., 2) of the camera's image to the panel."""
         return np.asarray((points_px + 0.5) * self.scale - 0.5)

@@ -84,7 +84,10 @@ class _Ending:
             changes_s += [time_s for outage in unit.outages for time_s in outage]
             changes_s += [time_s for time_s, _ in unit.zoom]
         changes_s += [intervention.at_s for intervention in scenario.interventions]
+        changes_s += [time_s for time_s, _ in mission.schedule.motions]
         self._least_s = max((time_s for time_s in changes_s if time_s <= scenario.duration_s), default=0.0)
+        if not mission.schedule.motion_at(scenario.duration_s).is_rest:
+            self._least_s = scenario.duration_s
 
     def shows(self, step: Step) -> bool:
         """Return whether the video shows a step; called with all steps in the order of time."""

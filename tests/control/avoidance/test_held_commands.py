@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from skyherd.control import AvoidanceRule, BodyRule, LatencyCompensation, MarkerGains, NeighborMemory, Wheels
+from skyherd.control.avoidance.avoiding_law import avoiding_law
 from skyherd.control.avoidance.proximity import proximity
-from skyherd.control.avoidance.speed_bound import avoiding_law, closing_bounds
+from skyherd.control.avoidance.speed_bound import closing_bounds
 from skyherd.geometry import to_complex
 from skyherd.messages import Proximity, VelocityCommand
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from skyherd.control import AvoidanceRule, BodyRule, MarkerGains, NeighborMemory, Wheels
+from skyherd.control.avoidance.avoiding_law import avoiding_law
 from skyherd.control.avoidance.detour import around, gyroscopic
 from skyherd.control.avoidance.proximity import proximity
-from skyherd.control.avoidance.speed_bound import Bounds, avoiding_law, closing_bounds, slowed
+from skyherd.control.avoidance.speed_bound import Bounds, closing_bounds, slowed
 from skyherd.control.robots.unicycle import wheel_law
 from skyherd.geometry import to_complex, to_points, wrap_angle
 from skyherd.messages import BORDER_IDS, Proximity, VelocityCommand
@@ -115,6 +116,7 @@ def min_gap_m(crowd: Crowd, ticks: int = 80) -> float:
 ROBOTS_AS_THEY_ARE = {
     "exact": (DriveParameters(), {}),
     "brakes": (DriveParameters(max_accel_mps2=0.25), {"lag_s": 2.0}),
+    "brakes by speed": (DriveParameters(max_accel_mps2=0.25), {"lag_s": 2.0, "brakes_s": 2.0}),
     "late": (DriveParameters(delay_s=0.2), {"lag_s": 0.2}),
     "fast": (
         DriveParameters(gain_error=0.2, track_m=0.3),
@@ -281,7 +283,7 @@ def test_detour_prefers_right_over_slightly_shorter_left() -> None:
 @pytest.mark.parametrize(("unseen_mps", "left_mps"), [(0.1, 0.1), (0.3, 0.3), (0.5, 0.4)])
 def test_unreported_bodies_limit_speed_in_every_direction(unseen_mps, left_mps) -> None:
     none = np.zeros(0)
-    bounds = Bounds(none.astype(np.int64), none, none, none, unseen_mps=np.array([unseen_mps]))
+    bounds = Bounds(none.astype(np.int64), none, none, none, none.astype(bool), np.array([unseen_mps]))
     for sign in (-1, 1):
         v_mps, _ = slowed(np.array([sign * 0.4]), np.zeros(1), bounds=bounds, rule=rule())
         assert v_mps == pytest.approx(sign * left_mps)
@@ -384,6 +386,7 @@ def test_slowed_includes_turn_during_actuation_lag() -> None:
         bearings_rad=np.array([np.pi / 3]),
         speeds_mps=np.array([0.1]),
         slack_rad=np.zeros(1),
+        within=np.zeros(1, dtype=bool),
         unseen_mps=np.array([10.0]),
     )
     slower, _ = slowed(v, np.zeros(1), bounds=bounds, rule=lagging)

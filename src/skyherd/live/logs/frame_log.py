@@ -133,7 +133,7 @@ def _poses(unit: int, side_m: float, decision: Decision) -> dict[str, Any]:
     """Return the robots' poses on the ground, m and rad, as estimated by the unit."""
     flat = decision.detections.unambiguous()
     places = {
-        f"unit/{unit}/robot/{robot}": (x, y, -heading_rad)
+        f"unit/{unit}/robot/{robot}": (x, y, 0.0, -heading_rad)
         for robot, (x, y), heading_rad in zip(
             flat.ids.tolist(),
             ground_positions(flat, side_m).tolist(),

@@ -1,0 +1,76 @@
+"""`skyherd play`: a simulation on an interactive page, on which it can be disturbed while it runs."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skyherd.cli.choices import PERCEPTIONS, complete_perception, complete_scenario
+from skyherd.cli.console import say, warn
+from skyherd.cli.interrupts import telling_of_interrupts
+from skyherd.cli.options import PageHost, PagePort, ScenarioSettings
+from skyherd.errors import InputError
+
+DEFAULT_PORT = 8440
+"""Port of the page. Chosen: not used by other common programs."""
+
+LOOPBACK = "127.0.0.1"
+"""Address at which only this computer can connect."""
+
+
+def play(
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO", help="A built-in scenario or a TOML file.", autocompletion=complete_scenario
+        ),
+    ] = "star",
+    seed: Annotated[
+        int | None, typer.Option(metavar="N", help="Replace the scenario's seed of all random draws.")
+    ] = None,
+    settings: ScenarioSettings = None,
+    perception: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KIND",
+            help="How markers are detected: rendered (in drawn images), ideal (exactly), or noisy (exactly, "
+            "with the detector's measured noise).",
+            autocompletion=complete_perception,
+        ),
+    ] = None,
+    out_dir: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="Save scenarios into this existing folder.")
+    ] = Path("."),
+    speed: Annotated[
+        float, typer.Option(metavar="X", min=0.01, max=100, help="Simulated seconds in a second.")
+    ] = 1.0,
+    port: PagePort = DEFAULT_PORT,
+    host: PageHost = LOOPBACK,
+) -> int:
+    """Show and disturb a running simulation in the browser.
+
+    It prints the page's address. Ctrl-C ends it. Nothing is written unless you save.
+    """
+    from skyherd.play.access import Access, bind
+    from skyherd.play.extras import require_viser
+    from skyherd.play.session import Session
+
+    if perception is not None and perception not in PERCEPTIONS:
+        raise InputError("--perception", f"{perception!r}", f"one of {', '.join(PERCEPTIONS)}")
+    require_viser("play")
+    chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
+    session = Session.open(scenario, chosen, seed=seed, folder=out_dir, speed=speed)
+    with bind(host, port) as listener:
+        access = Access.make(host, listener.getsockname()[1])
+        from skyherd.play.page import Page
+
+        if host != LOOPBACK:
+            warn(f"the page can be reached at {host}, without encryption; its address is a password")
+        page = Page(session, access, listener)
+        say(f"open {access.url}")
+        try:
+            with telling_of_interrupts("scenarios that were saved are kept"):
+                page.run()
+        finally:
+            page.close()
+    return 0

@@ -1,0 +1,69 @@
+"""`skyherd view`: a recorded run in 3-D, on a page with a time bar or as one HTML file."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skyherd.cli.console import say, warn
+from skyherd.cli.interrupts import telling_of_interrupts
+from skyherd.cli.options import ForceFile, PageHost, PagePort
+from skyherd.cli.play import DEFAULT_PORT, LOOPBACK
+from skyherd.errors import InputError
+
+
+def view(
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="A folder of `skyherd run`, or the recording in it.")
+    ],
+    html: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the run as one HTML file, and serve no page."),
+    ] = None,
+    force: ForceFile = False,
+    port: PagePort = DEFAULT_PORT,
+    host: PageHost = LOOPBACK,
+) -> int:
+    """Show a recorded run in 3-D in the browser, with a time bar.
+
+    It prints the page's address. Ctrl-C ends it. An HTML file needs neither skyherd nor a network.
+    """
+    from skyherd.files.output_file import OutputFile
+    from skyherd.play.extras import require_viser
+    from skyherd.recording.reader import read_recording
+    from skyherd.runner import RECORDING
+
+    require_viser("view")
+    path = run / RECORDING if os.path.isdir(run) else run
+    if html is not None and html.suffix.lower() != ".html":
+        raise InputError("--html", f"{str(html)!r} is not an HTML file", "a name that ends in .html")
+    output = None if html is None else OutputFile(html, "view", force=force, inputs=[path], option="--html")
+    if output is not None:
+        output.check()
+    recording = read_recording(path)
+    if not recording.whole:
+        warn(f"{path}: {recording.flaws[0]}; the readable part is shown")
+    if output is not None:
+        from skyherd.files.atomic import write_text
+        from skyherd.play.replay import replay_html
+
+        with output, telling_of_interrupts(f"{output.path} is not written"):
+            write_text(output.path, replay_html(recording.mission, recording.steps))
+        say(f"see {output.path}")
+        return 0
+    from skyherd.play.access import Access, bind
+    from skyherd.play.view_page import ViewPage
+
+    with bind(host, port) as listener:
+        access = Access.make(host, listener.getsockname()[1])
+        if host != LOOPBACK:
+            warn(f"the page can be reached at {host}, without encryption; its address is a password")
+        page = ViewPage(recording.mission, recording.steps, access, listener)
+        say(f"open {access.url}")
+        try:
+            with telling_of_interrupts("the recording is as it was"):
+                page.run()
+        finally:
+            page.close()
+    return 0

@@ -1,0 +1,271 @@
+"""Robots leave bodies within their margin, also bodies that move, and others make way for them."""
+
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from skyherd.control import AvoidanceRule, BodyRule, MarkerGains, NeighborMemory, Wheels
+from skyherd.control.avoidance.avoiding_law import avoiding_law
+from skyherd.control.avoidance.make_way import YIELD_SIDES, yielding_sides
+from skyherd.control.avoidance.proximity import proximity
+from skyherd.control.avoidance.retreat import retreat
+from skyherd.control.avoidance.speed_bound import Bounds
+from skyherd.geometry import to_complex, to_points
+from skyherd.messages import VelocityCommand
+from skyherd.random_streams import RunStream, generator
+from skyherd.sim.drive import Drive, DriveParameters
+from skyherd.sim.world import move_bodies
+
+SIDE_M, STEP_S = 0.4, 0.2
+WHEELS = Wheels(0.6, 3.0)
+RULE = AvoidanceRule(SIDE_M, WHEELS, nominal_age_s=0.2, superseded_age_s=0.2, step_s=STEP_S, lag_s=0.4)
+BODIES = BodyRule(radius_sides=1.0, margin_sides=0.2)
+GAINS = MarkerGains(0.4, 2.0, 0.0, SIDE_M)
+
+
+def nothing(bounds, rule, driven):
+    """Return no velocities, as a replacement of `retreat`."""
+    return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=complex)
+
+
+def drive(make_detections, seed: int, steps: int = 150) -> tuple[np.ndarray, float]:
+    """Return the final distances (2,) of two robots from their goals, m, and their minimum gap, m.
+
+    They start half a margin apart, with any headings. Each has a goal 3 m away, at most 70 degrees off the
+    direction straight away from the other one.
+    """
+    rng = np.random.default_rng(seed)
+    positions = np.array([0.0, 2.1 * SIDE_M]) + 0j
+    headings, ids = rng.uniform(-np.pi, np.pi, 2), np.arange(2)
+    goals = positions + 3 * np.array([-1, 1]) * np.exp(1j * np.radians(rng.uniform(-70, 70, 2)))
+    memory, least = NeighborMemory(ids, ids, RULE.lifetime_s), np.inf
+    for step in range(steps):
+        now_s = step * STEP_S
+        points = 100 * positions.conj() + (400 + 400j)
+        seen = make_detections(ids, points, headings=-headings, sides=np.full(2, 100 * SIDE_M), time_s=now_s)
+        memory.receive(proximity(seen, ids, BODIES))
+        rho = (goals - positions) * np.exp(-1j * headings) / SIDE_M
+        v, omega = avoiding_law(rho, GAINS, memory=memory, rule=RULE, time_s=now_s)
+        memory.record_rotation(omega, now_s, STEP_S)
+        moved, headings = move_bodies(
+            to_points(positions), headings, v, omega, step_s=STEP_S, axis_offset_m=0.0
+        )
+        positions = to_complex(moved)
+        least = min(least, abs(positions[1] - positions[0]) - 2 * SIDE_M)
+    return np.abs(goals - positions), least
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_robots_within_margin_separate_and_reach_goals(make_detections, seed) -> None:
+    """They come no closer than at the start, since the bound is applied last."""
+    left_m, min_m = drive(make_detections, seed)
+    assert left_m.max() < 0.05 and min_m > 0.1 * SIDE_M - 1e-9
+
+
+def test_robots_within_margin_without_rule_deadlock(make_detections, monkeypatch) -> None:
+    monkeypatch.setattr(import_module("skyherd.control.avoidance.avoiding_law"), "retreat", nothing)
+    assert any(drive(make_detections, seed)[0].max() > 2.5 for seed in range(8))
+
+
+# --- bodies that move ---
+
+ACCEL_MPS2, FAST_MPS = 1.5, 0.1
+BRAKES_S = WHEELS.max_speed_mps / ACCEL_MPS2
+MOVER_RULE = AvoidanceRule(
+    SIDE_M,
+    WHEELS,
+    nominal_age_s=0.1,
+    superseded_age_s=0.1,
+    step_s=0.1,
+    lag_s=BRAKES_S,
+    brakes_s=BRAKES_S,
+)
+
+
+def required_margin_m(speed_mps: float, rule: AvoidanceRule = MOVER_RULE) -> float:
+    """Return the margin of the theorem in docs/bodies.md for a body of a speed, without actuation delay."""
+    turn_radps = rule.wheels.max_turn_radps
+
+    def excess_mps(delta_rad: float) -> float:
+        return ACCEL_MPS2 * delta_rad / turn_radps * np.sin(delta_rad) - speed_mps
+
+    delta_rad = brentq(excess_mps, 0.0, np.pi / 2)
+    rise_s = speed_mps / np.sin(delta_rad) / ACCEL_MPS2
+    return speed_mps * (rule.nominal_age_s + rule.step_s + delta_rad / turn_radps + rise_s)
+
+
+def pursue(
+    make_detections,
+    robots: np.ndarray,
+    mover: complex,
+    speed_mps: float,
+    margin_m: float,
+    *,
+    seed: int,
+    driven: bool = True,
+    seconds: float = 12.0,
+) -> float:
+    """Return the smallest gap, m, between robots at rest at their goals and a body that pursues the first.
+
+    Args:
+        make_detections: factory of detections.
+        robots: (N,) positions, m, which are the goals.
+        mover: its position at the start, m.
+        speed_mps: its speed.
+        margin_m: margin that the unit reports.
+        seed: of the robots' headings.
+        driven: whether the robots have goals.
+        seconds: simulated time.
+    """
+    rule, count, step_s = MOVER_RULE, robots.size, MOVER_RULE.step_s
+    rng, ids = np.random.default_rng([seed, 42]), np.arange(robots.size)
+    goals, headings = robots.astype(complex), rng.uniform(-np.pi, np.pi, count)
+    positions = goals.copy()
+    bodies = BodyRule(radius_sides=1.0, margin_sides=margin_m / SIDE_M, obstacles={count: 1.0})
+    memory = NeighborMemory(ids, np.arange(count + 1), rule.lifetime_s)
+    streams = (generator(0, stream) for stream in (RunStream.WHEEL_GAINS, RunStream.WHEEL_SLIP))
+    parameters = DriveParameters(max_speed_mps=0.6, max_turn_radps=3.0, max_accel_mps2=ACCEL_MPS2)
+    gain_rng, slip_rng = streams
+    drive = Drive(parameters, count, step_s=step_s, gain_rng=gain_rng, slip_rng=slip_rng)
+    least_m = np.inf
+    for tick in range(round(seconds / step_s)):
+        now_s = tick * step_s
+        points = 100 * np.append(positions, mover).conj()
+        sides = np.full(count + 1, 100 * SIDE_M)
+        seen = make_detections(
+            range(count + 1), points, headings=np.append(-headings, 0.0), sides=sides, time_s=now_s
+        )
+        memory.receive(proximity(seen, ids, bodies))
+        rho = (goals - positions) * np.exp(-1j * headings) / SIDE_M
+        v, omega = avoiding_law(
+            rho if driven else np.zeros(count, dtype=complex),
+            GAINS,
+            memory=memory,
+            rule=rule,
+            time_s=now_s,
+            driven=np.full(count, driven),
+        )
+        memory.record_rotation(omega, now_s, step_s)
+        v, omega = drive.step(VelocityCommand(ids, v, omega))
+        moved, headings = move_bodies(
+            to_points(positions), headings, v, omega, step_s=step_s, axis_offset_m=0.0
+        )
+        positions = to_complex(moved)
+        towards = positions[0] - mover
+        mover += speed_mps * step_s * towards / abs(towards)
+        least_m = min(least_m, float(np.abs(positions - mover).min()) - 2 * SIDE_M)
+    return least_m
+
+
+ALONE = np.zeros(1)
+
+
+@pytest.mark.parametrize("speed_mps", [0.02, 0.05, 0.1, 0.2])
+def test_pursued_robot_with_required_margin_is_not_touched(make_detections, speed_mps) -> None:
+    """It stands at its goal, with any heading; the goal pulls it back."""
+    margin_m = required_margin_m(speed_mps)
+    start = 2 * SIDE_M + margin_m + 0.02
+    gaps = [
+        pursue(make_detections, ALONE, start * np.exp(1j * seed), speed_mps, margin_m, seed=seed)
+        for seed in range(12)
+    ]
+    assert min(gaps) > 0
+
+
+@pytest.mark.parametrize(("share", "driven"), [(0.2, True), (1.0, False)])
+def test_pursued_robot_with_less_is_touched(make_detections, share, driven) -> None:
+    """Negative control: a fifth of the margin, or no goal. Pursued robots use up a third of it."""
+    margin_m = share * required_margin_m(FAST_MPS)
+    start = 2 * SIDE_M + margin_m + 0.02
+    gaps = [
+        pursue(make_detections, ALONE, start * np.exp(1j * s), FAST_MPS, margin_m, seed=s, driven=driven)
+        for s in range(12)
+    ]
+    assert min(gaps) < 0
+
+
+def test_default_margin_suffices_for_a_tenth_metre_per_second() -> None:
+    """The margin of 0.2 sides of the built-in scenario `crowd`, whose robots these are."""
+    assert required_margin_m(FAST_MPS) < BodyRule(1.0).margin_sides * SIDE_M < required_margin_m(0.16)
+
+
+ROW = 3.0 * SIDE_M * np.arange(4)
+
+
+@pytest.mark.parametrize("makes_way", [True, False])
+def test_row_makes_way_for_retreating_robot(make_detections, monkeypatch, makes_way) -> None:
+    """Four robots stand in a row, and a body pursues the first one along it."""
+    if not makes_way:
+        monkeypatch.setattr(
+            import_module("skyherd.control.avoidance.proximity"),
+            "yielding_sides",
+            lambda gaps_sides, is_robot: np.zeros(gaps_sides.shape),
+        )
+    gaps = [
+        pursue(make_detections, ROW, -2.4 * SIDE_M, FAST_MPS, 0.2 * SIDE_M, seed=seed, seconds=40.0)
+        for seed in range(3)
+    ]
+    assert (min(gaps) > 0) == makes_way
+
+
+def test_robots_yield_to_lower_ranks_only() -> None:
+    """An obstacle is within the margin of robot 0; robots 1 and 2 are behind it, and robot 3 is far away.
+
+    The gaps are those of a line: obstacle, 0, 1, 2, with 0.5 sides between neighbours.
+    """
+    at = np.array([0.0, 0.5, 1.0, 9.0, -0.1])
+    gaps = np.abs(at[:, None] - at)
+    gaps[0, 4] = gaps[4, 0] = 0.0
+    np.fill_diagonal(gaps, np.inf)
+    gaps[0, 2] = gaps[2, 0] = 1.5
+    is_robot = np.array([True, True, True, True, False])
+    more = yielding_sides(gaps, is_robot)
+    expected = np.zeros((5, 5))
+    expected[1, 0] = expected[2, [0, 1]] = expected[3, [0, 1, 2]] = YIELD_SIDES
+    np.testing.assert_array_equal(more, expected)
+    gaps[0, 4] = gaps[4, 0] = 0.01
+    assert not yielding_sides(gaps, is_robot).any(), "an obstacle outside the margin needs no way"
+
+
+def bounds_of(bearings_deg, speeds_mps, within) -> Bounds:
+    """Return bounds of one robot without errors."""
+    count = len(bearings_deg)
+    return Bounds(
+        rows=np.zeros(count, dtype=np.int64),
+        bearings_rad=np.radians(bearings_deg),
+        speeds_mps=np.array(speeds_mps),
+        slack_rad=np.zeros(count),
+        within=np.array(within),
+        unseen_mps=np.array([10.0]),
+    )
+
+
+EXACT = replace(MOVER_RULE, lag_s=0.0, brakes_s=0.0)
+
+
+@pytest.mark.parametrize(
+    ("bearings_deg", "speeds_mps", "within", "leaves_deg"),
+    [
+        ([0], [0.0], [True], 180),
+        ([120], [0.0], [True], -40),  # -60 opens faster, but needs a longer turn
+        ([0, 150], [0.0, 0.01], [True, False], -120),  # a right angle to the second body
+        ([0, 90], [0.0, 0.0], [True, True], -140),  # the middle is -135, between two of 36 directions
+    ],
+)
+def test_retreat_takes_direction_that_opens_fastest(bearings_deg, speeds_mps, within, leaves_deg) -> None:
+    bounds = bounds_of(bearings_deg, speeds_mps, within)
+    rows, velocities = retreat(bounds, EXACT, np.ones(1, dtype=bool))
+    assert rows.tolist() == [0] and abs(velocities[0]) == pytest.approx(WHEELS.max_speed_mps)
+    assert velocities[0] / WHEELS.max_speed_mps == pytest.approx(np.exp(1j * np.radians(leaves_deg)))
+
+
+def test_enclosed_robot_or_robot_without_goal_does_not_retreat() -> None:
+    around = bounds_of([0, 120, 240], [0.0] * 3, [True] * 3)
+    assert retreat(around, EXACT, np.ones(1, dtype=bool))[0].size == 0
+    behind = bounds_of([180], [0.0], [True])
+    assert retreat(behind, EXACT, np.zeros(1, dtype=bool))[0].size == 0
+    outside = bounds_of([180], [0.3], [False])
+    assert retreat(outside, EXACT, np.ones(1, dtype=bool))[0].size == 0

@@ -20,7 +20,7 @@ from skyherd.vision.detectors.registry import (
 from skyherd.vision.diagnosis.explain import Rejection, explain
 from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
-from skyherd.vision.fusion import fuse_markers
+from skyherd.vision.fusion.fuse import fuse_markers
 from skyherd.vision.photometric.detector import DeferringDetector, PhotometricDetector
 from skyherd.vision.photometric.outlines import measure_outlines
 

@@ -5,6 +5,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from skyherd.messages.checks import check_kind
+
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -16,7 +18,11 @@ def toml_text(tree: Mapping[str, Any]) -> str:
 
     Args:
         tree: dictionaries, lists, tuples, texts, numbers and booleans.
+
+    Raises:
+        InputError: it is not a mapping.
     """
+    check_kind("toml_text: tree", tree, Mapping, "a mapping")
     plain, tables = [], []
     for key, value in tree.items():
         if isinstance(value, Mapping):

@@ -85,12 +85,12 @@ class TeamPose:
         """Return the poses moved by a step of the unknowns (3 + 4 R,)."""
         own = step[SHARED:].reshape(-1, OWN)
         return TeamPose(
-            self.size_px,
-            self.kappa + step[0],
-            self.camera @ small_rotation(np.array([*step[1:SHARED], 0.0])),
-            self.places_px + own[:, :2],
-            self.sizes_px * np.exp(own[:, 2].clip(-1, 1)),
-            self.turns_rad + own[:, 3],
+            size_px=self.size_px,
+            kappa=self.kappa + step[0],
+            camera=self.camera @ small_rotation(np.array([*step[1:SHARED], 0.0])),
+            places_px=self.places_px + own[:, :2],
+            sizes_px=self.sizes_px * np.exp(own[:, 2].clip(-1, 1)),
+            turns_rad=self.turns_rad + own[:, 3],
         )
 
     def images(self, points: Array, robots: IntArray) -> tuple[Array, Array, Array]:

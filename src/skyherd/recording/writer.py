@@ -158,6 +158,9 @@ class McapRecorder:
 
     def write(self, step: Step) -> None:
         """Append all messages of one step, and flush if too much is pending."""
+        known = self._mission.scenario.interventions
+        asked = [intervention for intervention in step.interventions if intervention not in known]
+        self._mission = self._mission.with_interventions(asked)
         for unit, frame in step.frames.items():
             self._write_frame(unit, step.time_s, frame)
         self._log.put("/robots/command", step.time_s, step.command)

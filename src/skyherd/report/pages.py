@@ -1,10 +1,10 @@
 """Common base of all pages: template engine and shared page parts.
 
-A page is one HTML file that needs no network or script. Pictures are embedded as data URIs, and so are the last
-frames of videos. Videos lie beside the page. Markup is in templates only. Every page extends `report/templates/base.html`, which includes the style
-sheet `page.css`, and imports the macros of `parts.html`. Packages above this one have a folder `templates/`
-of their own. The template engine escapes all inserted text, so that no text of a scenario, a study or a
-detector's name can become markup.
+A page is one HTML file that needs no network or script. Pictures are embedded as data URIs, and so are the
+last frames of videos. Videos lie beside the page. Markup is in templates only. Every page extends
+`report/templates/base.html`, which includes the style sheet `page.css`, and imports the macros of
+`parts.html`. Packages above this one have a folder `templates/` of their own. The template engine
+escapes all inserted text, so that no text of a scenario, a study or a detector's name can become markup.
 """
 
 from base64 import b64encode

@@ -186,7 +186,8 @@ class TestTags:
         library = pytest.importorskip("pupil_apriltags")
         cells = np.pad(marker_cells("APRILTAG_36h11", 7), 2, constant_values=True)
         card = np.kron(np.where(cells, 230, 30), np.ones((12, 12))).astype(np.uint8)
-        warp = cv2.getRotationMatrix2D((72, 72), 25, 1.0) + [[0, 0, 100], [0, 0, 80]]
+        warp = cv2.getRotationMatrix2D((72, 72), 25, 1.0)
+        warp[:, 2] += 100, 80
         image = cv2.GaussianBlur(cv2.warpAffine(card, warp, (360, 320), borderValue=230), (0, 0), 0.8)
         (theirs,) = library.Detector(families="tag36h11", quad_decimate=1.0).detect(image)
         found = create_detector("photometric", dictionary="APRILTAG_36h11").detect(image)

@@ -39,8 +39,8 @@ MIN_SEEN = 0.9
 MIN_MARGIN_SIDES = 1.5
 """Distance of a marker's centre from the border of the image, marker sides. Chosen: beyond the card."""
 
-IMAGES_PER_TIMEOUT = 3.0
-"""Images within `limits.goal_timeout_s`. Chosen: two may be lost or late."""
+IMAGES_PER_TIMEOUT = 2.5
+"""Images within `limits.goal_timeout_s`. Chosen: one may be lost or late."""
 
 MOVING_SIDES = 0.02
 """Motion between two images, in marker sides, from which on a marker moves. Chosen: far above its noise."""

@@ -146,7 +146,7 @@ def jitters_px(results: Sequence[Sequence[Places]]) -> list[float]:
     ]
 
 
-def measure(path: Path, dictionary: str, frames: int) -> list[str]:
+def measure(path: Path, dictionary: str, skip: int, frames: int) -> list[str]:
     """Return the rows of the table of one video."""
     cv2.setNumThreads(1)
     trackers = {
@@ -157,7 +157,7 @@ def measure(path: Path, dictionary: str, frames: int) -> list[str]:
     found: list[list[Places]] = [[] for _ in trackers]
     held: list[list[Places]] = [[] for _ in trackers]
     times_s: list[list[float]] = [[] for _ in trackers]
-    for frame in islice(read_clip(open_clip(path)), frames):
+    for frame in islice(read_clip(open_clip(path)), skip, skip + frames):
         for number, tracker in enumerate(trackers.values()):
             begun_s = time.process_time()
             seen, kept = tracker.track(frame.image, frame.time_s)
@@ -167,7 +167,8 @@ def measure(path: Path, dictionary: str, frames: int) -> list[str]:
     agreed, jitter = agreed_places(found), jitters_px(found)
     return [
         f"| {path.stem} | {name} | {len(agreed)} | {sum(map(len, agreed))} | {share(found[k], agreed):.1%} "
-        f"| {share(held[k], agreed):.1%} | {jitter[k]:.3f} | {1000 * np.median(times_s[k]):.1f} |"
+        f"| {share(held[k], agreed):.1%} | {f'{jitter[k]:.2f}' if np.isfinite(jitter[k]) else '–'} "
+        f"| {1000 * np.median(times_s[k]):.0f} |"
         for k, name in enumerate(trackers)
     ]
 
@@ -179,11 +180,12 @@ def main() -> None:
     parser.add_argument("videos", nargs="+", type=Path)
     parser.add_argument("--dictionary", default="4X4_50")
     parser.add_argument("--frames", type=int, default=200, help="of each video at most")
+    parser.add_argument("--skip", type=int, default=0, help="images at the start that are left out")
     given = parser.parse_args()
     print("| video | tracker | images | markers | recall | held | jitter, px | ms an image |")
     print("|---" * 8 + "|")
     for path in given.videos:
-        print("\n".join(measure(path, given.dictionary, given.frames)), flush=True)
+        print("\n".join(measure(path, given.dictionary, given.skip, given.frames)), flush=True)
 
 
 if __name__ == "__main__":

@@ -180,6 +180,17 @@ def test_lab_camera_takes_images_and_times_of_a_topic(script, images) -> None:
             assert frame.captured_s <= frame.arrived_s < sent[frame.origin.stamp_ns] + 1.0
 
 
+def test_images_without_a_stamp_get_the_time_of_arrival(script, images) -> None:
+    with bridged(script) as (peer, _, _):
+        peer.listen("skyherd/detections", script.DETECTIONS)
+        assert script.wait_for(lambda: len(marker_tokens(peer)) == 3)
+        before_ns = time.time_ns()
+        peer.put(peer.topic, peer.image(images[0], 0))
+        assert script.wait_for(lambda: bool(peer.received))
+        (stamp_ns,) = peer.received
+        assert before_ns < stamp_ns < time.time_ns()
+
+
 class TestTags:
     def test_corners_and_homography_are_those_of_apriltag(self) -> None:
         """AprilTag 3 itself on a turned tag; its image coordinates are shifted by half a pixel."""

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from typing import Literal
 
 from skyherd.errors import InputError
+from skyherd.files.images import Grey
 from skyherd.files.ros_images import COMPRESSED, RAW, DamagedImageError, grey_of_message
 from skyherd.files.ros_types import make_typestore
 from skyherd.live.cameras.frame import Origin, Picture
@@ -88,23 +89,26 @@ class Ros2Camera:
         Raises:
             InputError: none could be read for `READ_S`, or the encoding is not read.
         """
-        last_s, damage = time.monotonic(), None
+        last_s, damage, first_ns = time.monotonic(), None, 0
         while not pause(0.0):
             arrival.wait(WAIT_S)
             arrival.clear()
             while waiting:
                 try:
-                    picture = self._picture(waiting.popleft())
+                    image, origin = self._read(waiting.popleft())
                 except DamagedImageError as error:
                     damage = str(error)
                     continue
-                yield picture
+                first_ns = first_ns or origin.stamp_ns
+                # Seconds since the first stamp: those since 1970 have a resolution of 0.2 µs.
+                stream_s = (origin.stamp_ns - first_ns) / 1e9 if origin.stamp_ns else None
+                yield Picture(image, stream_s, origin=origin)
                 last_s, damage = time.monotonic(), None
             if time.monotonic() - last_s >= READ_S:
                 raise InputError(self.name, damage or self._silence(node), "a publisher of this topic")
 
-    def _picture(self, data: bytes) -> Picture:
-        """Return the image of a message. Its time is unknown if it has no stamp."""
+    def _read(self, data: bytes) -> tuple[Grey, Origin]:
+        """Return image and header of a message."""
         kind = self._topic.kind
         try:
             message = self._store.deserialize_cdr(data, kind)
@@ -113,9 +117,7 @@ class Ros2Camera:
             raise DamagedImageError(problem) from None
         image = grey_of_message(self.name, message, kind)
         stamp = message.header.stamp
-        stamp_ns = stamp.sec * 10**9 + stamp.nanosec
-        origin = Origin(stamp_ns, message.header.frame_id)
-        return Picture(image, stamp_ns / 1e9 if stamp_ns else None, origin=origin)
+        return image, Origin(stamp.sec * 10**9 + stamp.nanosec, message.header.frame_id)
 
     def _silence(self, node: RosNode) -> str:
         """Return why no image arrives, by the topics that are published."""

@@ -125,11 +125,12 @@ class Peer:
 
 
 @contextmanager
-def router() -> Iterator[tuple[Any, int]]:
-    """Run a Zenoh router on a free port of loopback, and return its session and port."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+def router(port: int = 0) -> Iterator[tuple[Any, int]]:
+    """Run a Zenoh router on loopback, on a free port for 0, and return its session and port."""
+    if port == 0:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
     configuration = zenoh.Config()
     configuration.insert_json5("mode", '"router"')
     configuration.insert_json5("listen/endpoints", f'["tcp/127.0.0.1:{port}"]')

@@ -63,7 +63,9 @@ def marker_tokens(peer) -> set[tuple[str, str]]:
     return {(parts[5], parts[9]) for parts in alive if len(parts) == 13}
 
 
-@pytest.mark.parametrize("jpeg", [False, True], ids=["raw", "compressed"])
+@pytest.mark.parametrize(
+    "jpeg", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["raw", "compressed"]
+)
 def test_thirty_images_a_second_come_back_without_loss(script, images, jpeg) -> None:
     topic = "camera/image_raw" + ("/compressed" if jpeg else "")
     with bridged(script, topic) as (peer, bridge, _):
@@ -189,6 +191,31 @@ def test_images_without_a_stamp_get_the_time_of_arrival(script, images) -> None:
         assert script.wait_for(lambda: bool(peer.received))
         (stamp_ns,) = peer.received
         assert before_ns < stamp_ns < time.time_ns()
+
+
+@pytest.mark.slow
+def test_restarted_router_loses_the_bridge_for_some_seconds_only(script, images) -> None:
+    with script.router() as (session, port):
+        peer = script.Peer(session)
+        bridge = Bridge(BridgeSettings(f"ros2://127.0.0.1:{port}/camera/image_raw"))
+    ended = threading.Event()
+    thread = threading.Thread(target=bridge.run, args=[ended.is_set, lambda problem: None])
+    thread.start()
+    try:
+        for _ in range(2):
+            with script.router(port) as (session, _):
+                peer = script.Peer(session)
+                peer.listen("skyherd/detections", script.DETECTIONS)
+
+                def comes(peer=peer) -> bool:
+                    peer.put(peer.topic, peer.image(images[0], time.time_ns()))
+                    return bool(peer.received)
+
+                assert script.wait_for(comes, 15.0)
+    finally:
+        ended.set()
+        thread.join()
+        bridge.close()
 
 
 class TestTags:

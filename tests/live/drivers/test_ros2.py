@@ -78,12 +78,16 @@ def test_subscriber_receives_twists_and_sees_node() -> None:
         link = Ros2(f"ros2://127.0.0.1:{port}/robot3/cmd_vel?type=TwistStamped", 3, now_ns=lambda: STAMP_NS)
         try:
             assert tokens(robot, 2) == {"NN", "MP"}
+            alive = [str(reply.ok.key_expr) for reply in robot.liveliness().get("@ros2_lv/0/*/*/*/MP/**")]
+            hashed = pytest.importorskip("xxhash").xxh3_128_intdigest(alive[0])
+            gid = struct.pack("<QQ", hashed % 2**64, hashed >> 64)
             for motion in (MOTION, STILL):
                 link.write(motion)
             for number, motion in enumerate((MOTION, STILL), start=1):
                 sample = heard.recv()
                 assert bytes(sample.payload) == twist_stamped(motion, STAMP_NS, "base_link")
                 assert struct.unpack("<qqB", bytes(sample.attachment)[:17]) == (number, STAMP_NS, 16)
+                assert bytes(sample.attachment)[17:] == gid
         finally:
             link.close()
         assert tokens(robot, 0) == set()

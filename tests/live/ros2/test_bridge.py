@@ -3,6 +3,7 @@
 import threading
 import time
 from contextlib import closing, contextmanager
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -14,9 +15,12 @@ pytest.importorskip("rosbags")
 
 from skyherd.errors import InputError
 from skyherd.files.images import Grey
-from skyherd.live.cameras import open_camera
+from skyherd.live.cameras import Origin, open_camera
 from skyherd.live.ros2.bridge import Bridge, BridgeSettings
+from skyherd.live.ros2.names import Place
+from skyherd.live.ros2.publishing import MarkerPublisher, poses_of
 from skyherd.markers.dictionary import marker_cells
+from skyherd.poses import Calibration
 from skyherd.recording.ros_messages import RosMessages
 from skyherd.vision import create_detector
 
@@ -191,6 +195,28 @@ def test_images_without_a_stamp_get_the_time_of_arrival(script, images) -> None:
         assert script.wait_for(lambda: bool(peer.received))
         (stamp_ns,) = peer.received
         assert before_ns < stamp_ns < time.time_ns()
+
+
+def test_published_covariance_includes_the_mirror_image(monkeypatch, images) -> None:
+    sent = []
+
+    class Node:
+        def __init__(self, place, where) -> None:
+            pass
+
+        def advertise(self, topic, quality):
+            return SimpleNamespace(put=lambda data, stamp_ns: sent.append((topic.kind, data)))
+
+    monkeypatch.setattr("skyherd.live.ros2.publishing.RosNode", Node)
+    found = create_detector("photometric", dictionary="4X4_50").detect(images[0])
+    calibration = Calibration(SIZE_PX, np.array([[700, 0, 319.5], [0, 700, 239.5], [0, 0, 1]]), np.zeros(0))
+    poses = poses_of(images[0], found, "4X4_50", calibration, SIDE_M, one_plane=False)
+    MarkerPublisher(Place(), "skyherd", "test").publish_poses(Origin(1, "camera"), found, poses)
+    kind = "geometry_msgs/msg/PoseWithCovarianceStamped"
+    store = RosMessages("test").store
+    stated = [store.deserialize_cdr(data, kind).pose.covariance for one, data in sent if one == kind]
+    np.testing.assert_array_equal(np.reshape(stated, (-1, 6, 6)), poses.total_covariances())
+    assert (poses.total_covariances()[:, 3, 3] > 1.1 * poses.covariances[:, 3, 3]).any()
 
 
 @pytest.mark.slow

@@ -79,7 +79,7 @@ def test_subscriber_receives_twists_and_sees_node() -> None:
         try:
             assert tokens(robot, 2) == {"NN", "MP"}
             alive = [str(reply.ok.key_expr) for reply in robot.liveliness().get("@ros2_lv/0/*/*/*/MP/**")]
-            hashed = pytest.importorskip("xxhash").xxh3_128_intdigest(alive[0])
+            hashed = pytest.importorskip("xxhash").xxh3_128_intdigest(alive[0].encode())
             gid = struct.pack("<QQ", hashed % 2**64, hashed >> 64)
             for motion in (MOTION, STILL):
                 link.write(motion)

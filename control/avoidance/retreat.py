@@ -30,17 +30,14 @@ def retreat(bounds: Bounds, rule: AvoidanceRule, driven: BoolArray) -> tuple[Int
 
     Body k is at the distance d_k and bearing β_k, and its margin begins at the distance r_k. s(θ) is the
     speed that all bounds of a retreat allow, and turn(θ) the time until one end of the robot points there.
-    While an obstacle is within the margin, other robots have their margin at least at their distance: a unit
-    that does not see the obstacle asks the robot to make way. Robots are left out if no direction is better
-    than rest.
+    Robots are left out if no direction is better than rest.
 
     Args:
         bounds: bounds on the approach speeds of N robots.
         rule: the robots' own parameters.
         driven: (N,) robots that may drive, since they have a fresh goal.
     """
-    within = (bounds.gaps_m <= 0) & driven[bounds.rows]
-    rows, urgent = np.unique(bounds.rows[within]), np.unique(bounds.rows[within & ~bounds.avoids])
+    rows = np.unique(bounds.rows[(bounds.gaps_m <= 0) & driven[bounds.rows]])
     of = bounds.take(np.isin(bounds.rows, rows))
     row = np.searchsorted(rows, of.rows)
     theta = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
@@ -52,11 +49,10 @@ def retreat(bounds: Bounds, rule: AvoidanceRule, driven: BoolArray) -> tuple[Int
     way_m = speed[:, :, None] * np.maximum(TIMES_S - turn_s[:, None], 0.0)
     bodies = (of.distances_m * np.exp(1j * of.bearings_rad))[:, None, None]
     distances_m = np.abs(bodies - way_m[row] * np.exp(1j * theta)[:, None])
-    gaps_m = np.where(of.avoids & np.isin(of.rows, urgent), np.maximum(of.gaps_m, 0.0), of.gaps_m)
     least_m = np.full(way_m.shape, CLEAR_SIDES * rule.side_m)
-    np.minimum.at(least_m, row, distances_m - (of.distances_m - gaps_m)[:, None, None])
+    np.minimum.at(least_m, row, distances_m - (of.distances_m - of.gaps_m)[:, None, None])
     now_m = np.full(rows.size, np.inf)
-    np.minimum.at(now_m, row, gaps_m)
+    np.minimum.at(now_m, row, of.gaps_m)
 
     mean_m = least_m.mean(axis=2)
     best = np.arange(rows.size), np.argmax(mean_m, axis=1)

@@ -21,7 +21,7 @@ from skyherd.control.avoidance.detour import Detour
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.robots.unicycle import Wheels
 from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
-from skyherd.messages import TIME_TOLERANCE_S
+from skyherd.messages import ANONYMOUS_ID, TIME_TOLERANCE_S
 from skyherd.messages.checks import check_numbers
 
 MIN_DISTANCE_M = 1e-9
@@ -130,7 +130,6 @@ class Bounds:
         bearings_rad: (P,) direction to the other body in the robot's frame.
         speeds_mps: (P,) bounds b on the approach speed.
         slack_rad: (P,) maximum error of the bearing.
-        avoids: (P,) whether the other body avoids this robot, too; an obstacle does not.
         gaps_m: (P,) gaps beyond the margin in the image; negative within it.
         distances_m: (P,) distances between the centres in the image.
         retreat_mps: (P,) bounds b of a robot that leaves a body within its margin.
@@ -141,7 +140,6 @@ class Bounds:
     bearings_rad: Array
     speeds_mps: Array
     slack_rad: Array
-    avoids: BoolArray
     gaps_m: Array
     distances_m: Array
     retreat_mps: Array
@@ -171,7 +169,7 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | 
     time_s = np.broadcast_to(time_s, memory.ids.shape)
     age_s = np.maximum(time_s[pair[0]] - memory.imaged_s[pair], 0.0) + rule.clock_margin_s
     distances_m = memory.distances_sides[pair] * rule.side_m
-    gaps_m = distances_m - memory.reaches_sides[pair] * rule.side_m  # below 0 the limit is 0
+    gaps_m = _gaps_sides(memory, pair) * rule.side_m  # below 0 the limit is 0
     lent_m = rule.retreat_sides * rule.side_m
     is_newest = age_s < rule.superseded_age_s - TIME_TOLERANCE_S
     strayed_m = np.where(is_newest, 0.0, 2 * rule.wheels.max_speed_mps * (age_s + rule.line_s))
@@ -184,12 +182,25 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | 
         slack_rad=np.where(strayed_m < distances_m, turned, np.pi)
         + rule.turn_error_radps * (age_s + rule.held_s)
         + rule.bearing_error_rad,
-        avoids=memory.shares[pair] < 1,
         gaps_m=gaps_m,
         distances_m=distances_m,
         retreat_mps=rule.limit_mps(memory.shares[pair] * (gaps_m + lent_m), age_s),
         unseen_mps=rule.limit_mps(memory.horizon_sides * rule.side_m / 2, unseen_s),
     )
+
+
+def _gaps_sides(memory: NeighborMemory, pair: tuple[IntArray, IntArray]) -> Array:
+    """Return the gaps (P,) beyond the margin in the images, marker sides.
+
+    A robot makes way for others, unless a body that is no robot of the team is within its own margin. A unit
+    that does not see this body may ask it to.
+    """
+    row, column = pair
+    gaps_sides = memory.distances_sides[pair] - memory.reaches_sides[pair]
+    ids = memory.other_ids[column]
+    is_foreign = (ids == ANONYMOUS_ID) | ((ids >= 0) & (memory.shares[pair] == 1))
+    leaves = np.isin(row, row[is_foreign & (gaps_sides <= 0)])
+    return np.asarray(gaps_sides - np.where(leaves, 0.0, memory.ways_sides[pair]))
 
 
 def approach_speeds(speeds_mps: Array, angles_rad: Array, rule: AvoidanceRule) -> Array:

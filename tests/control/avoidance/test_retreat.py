@@ -14,7 +14,7 @@ from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.retreat import CLEAR_SIDES, retreat
 from skyherd.control.avoidance.speed_bound import Bounds, closing_bounds
 from skyherd.geometry import to_complex, to_points
-from skyherd.messages import VelocityCommand
+from skyherd.messages import ANONYMOUS_ID, Proximity, VelocityCommand
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.drive import Drive, DriveParameters
 from skyherd.sim.world import move_bodies
@@ -238,7 +238,7 @@ def test_robots_yield_to_lower_ranks_only() -> None:
     assert not yielding_sides(gaps, is_robot).any(), "an obstacle outside the margin needs no way"
 
 
-def bounds_of(bearings_deg, speeds_mps, gaps_m, avoids=None) -> Bounds:
+def bounds_of(bearings_deg, speeds_mps, gaps_m) -> Bounds:
     """Return bounds of one robot without errors, for bodies of two sides across with a margin."""
     gaps_m = np.array(gaps_m)
     return Bounds(
@@ -246,7 +246,6 @@ def bounds_of(bearings_deg, speeds_mps, gaps_m, avoids=None) -> Bounds:
         bearings_rad=np.radians(bearings_deg),
         speeds_mps=np.array(speeds_mps),
         slack_rad=np.zeros(gaps_m.size),
-        avoids=np.zeros(gaps_m.size, dtype=bool) if avoids is None else np.array(avoids),
         gaps_m=gaps_m,
         distances_m=gaps_m + 2.2 * SIDE_M,
         retreat_mps=np.array(speeds_mps),
@@ -273,7 +272,7 @@ def test_retreat_opens_smallest_gap_soonest(bearings_deg, speeds_mps, gaps_m, le
     assert velocities[0] / WHEELS.max_speed_mps == pytest.approx(np.exp(1j * np.radians(leaves_deg)))
 
 
-def test_robot_between_two_bodies_leaves_sideways_before_second_is_near() -> None:
+def test_robot_between_two_bodies_leaves_sideways_in_time() -> None:
     """A body is within the margin, and a second one opposite at a tenth of a side beyond it.
 
     Straight away from the first the bound of the second still allows 0.05 m/s, but only for a short way.
@@ -286,14 +285,30 @@ def test_robot_between_two_bodies_leaves_sideways_before_second_is_near() -> Non
     assert np.cos(np.angle(velocities[0])) < -0.3, "negative control: a body that is clear does not count"
 
 
-def test_robot_near_obstacle_does_not_make_way_for_robots() -> None:
-    """Units that do not see the obstacle ask it to make way, in every other message."""
-    both = bounds_of([180, 45], [0.0, 0.2], [0.0, 0.1], avoids=[False, True])
-    asked = bounds_of([180, 45], [0.0, 0.0], [0.0, -0.3], avoids=[False, True])
-    others = bounds_of([180, 45], [0.0, 0.0], [0.0, -0.3], avoids=[True, True])
-    ways = [retreat(b, EXACT, np.ones(1, dtype=bool))[1][0] for b in (both, asked, others)]
-    assert min(np.cos(np.angle(ways[:2]))) > 0.49, "the obstacle's gap opens at half of the speed at least"
-    assert np.cos(np.angle(ways[2] * np.exp(-1j * np.pi / 4))) < 0, "negative control: away from the robot"
+@pytest.mark.parametrize(
+    ("body_gap", "body_id", "makes_way"), [(-0.01, 7, False), (0.01, 7, True), (-0.01, ANONYMOUS_ID, False)]
+)
+def test_robot_near_foreign_body_does_not_make_way(body_gap, body_id, makes_way) -> None:
+    """Units that do not see the body ask it to. Both robots would otherwise make way for each other."""
+    memory = NeighborMemory(np.array([1]), np.array([1, 2, 7]), 2.0)
+    gap, way = 0.4, 1.0
+    message = Proximity(
+        0,
+        0.0,
+        8.0,
+        [1, 2],
+        [1, 1],
+        [2, body_id],
+        [2.2 + gap, 2.2 + body_gap],
+        [0.0, 2.0],
+        [2.2, 2.2],
+        [0.5, 1.0 if body_id == 7 else 0.5],
+        [way, 0.0],
+    )
+    memory.receive(message)
+    bounds = closing_bounds(memory, MOVER_RULE, 0.0)
+    to_robot = bounds.gaps_m[np.argmax(bounds.distances_m)] / SIDE_M
+    assert to_robot == pytest.approx(gap - way if makes_way else gap)
 
 
 def test_leaving_robot_may_use_up_part_of_margin() -> None:

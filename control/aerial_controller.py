@@ -187,9 +187,7 @@ class AerialController:
             flight=self._fly(seen, selection, recent),
             proximity=near,
             ground_map=ground_map,
-            turns=None
-            if self.turns is None
-            else self.turns.ask(everything, ambiguous & self.template.members),
+            turns=self._turns(everything, ambiguous),
         )
 
     def _suspect(self, seen: Detections, suspicion: str) -> Decision:

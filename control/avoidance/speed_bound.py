@@ -21,7 +21,7 @@ from skyherd.control.avoidance.detour import Detour
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.robots.unicycle import Wheels
 from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
-from skyherd.messages import ANONYMOUS_ID, TIME_TOLERANCE_S
+from skyherd.messages import ANONYMOUS_ID, BORDER_IDS, TIME_TOLERANCE_S, among
 from skyherd.messages.checks import check_numbers
 
 MIN_DISTANCE_M = 1e-9
@@ -133,6 +133,7 @@ class Bounds:
         gaps_m: (P,) gaps beyond the margin in the image; negative within it.
         distances_m: (P,) distances between the centres in the image.
         retreat_mps: (P,) bounds b of a robot that leaves a body within its margin.
+        is_side: (P,) sides of an image, which moves with its camera; bodies may stand beyond them.
         unseen_mps: (N,) bound on each robot's speed in every direction, for bodies without a message.
     """
 
@@ -143,6 +144,7 @@ class Bounds:
     gaps_m: Array
     distances_m: Array
     retreat_mps: Array
+    is_side: BoolArray
     unseen_mps: Array
 
     def take(self, pairs: BoolArray) -> "Bounds":
@@ -185,6 +187,7 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | 
         gaps_m=gaps_m,
         distances_m=distances_m,
         retreat_mps=rule.limit_mps(memory.shares[pair] * (gaps_m + lent_m), age_s),
+        is_side=among(memory.other_ids[pair[1]], BORDER_IDS),
         unseen_mps=rule.limit_mps(memory.horizon_sides * rule.side_m / 2, unseen_s),
     )
 

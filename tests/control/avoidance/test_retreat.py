@@ -1,6 +1,6 @@
 """Robots leave bodies within their margin, also bodies that move, and others make way for them."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib import import_module
 
 import numpy as np
@@ -14,7 +14,7 @@ from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.retreat import CLEAR_SIDES, retreat
 from skyherd.control.avoidance.speed_bound import Bounds, closing_bounds
 from skyherd.geometry import to_complex, to_points
-from skyherd.messages import ANONYMOUS_ID, Proximity, VelocityCommand
+from skyherd.messages import ANONYMOUS_ID, BORDER_IDS, Proximity, VelocityCommand
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.drive import Drive, DriveParameters
 from skyherd.sim.world import move_bodies
@@ -238,7 +238,7 @@ def test_robots_yield_to_lower_ranks_only() -> None:
     assert not yielding_sides(gaps, is_robot).any(), "an obstacle outside the margin needs no way"
 
 
-def bounds_of(bearings_deg, speeds_mps, gaps_m) -> Bounds:
+def bounds_of(bearings_deg, speeds_mps, gaps_m, is_side=False) -> Bounds:
     """Return bounds of one robot without errors, for bodies of two sides across with a margin."""
     gaps_m = np.array(gaps_m)
     return Bounds(
@@ -249,6 +249,7 @@ def bounds_of(bearings_deg, speeds_mps, gaps_m) -> Bounds:
         gaps_m=gaps_m,
         distances_m=gaps_m + 2.2 * SIDE_M,
         retreat_mps=np.array(speeds_mps),
+        is_side=np.full(gaps_m.size, is_side),
         unseen_mps=np.array([10.0]),
     )
 
@@ -326,6 +327,37 @@ def test_leaving_robot_may_use_up_part_of_margin() -> None:
         none = bounds.of_retreat(np.zeros(0, dtype=np.int64))
         np.testing.assert_array_equal(none.speeds_mps, bounds.speeds_mps)
         assert bounds.speeds_mps[0] == 0 < bounds.speeds_mps[1]
+
+
+@pytest.mark.parametrize("other_id", [int(BORDER_IDS[1]), ANONYMOUS_ID])
+def test_robot_at_goal_leaves_bodies_but_not_image_sides(other_id) -> None:
+    """A side moves with its camera, so robots in their places would be driven out of the shape."""
+    memory = NeighborMemory(np.array([1]), np.array([1, 2]), 2.0)
+    memory.receive(Proximity(0, 0.0, 8.0, [1], [1], [other_id], [1.5], [0.0], [2.2], [1.0]))
+    v_mps, _ = avoiding_law(np.zeros(1, complex), GAINS, memory=memory, rule=MOVER_RULE, time_s=0.0)
+    assert (v_mps[0] < -0.1) == (other_id == ANONYMOUS_ID)
+    v_mps, _ = avoiding_law(np.ones(1, complex), GAINS, memory=memory, rule=MOVER_RULE, time_s=0.0)
+    assert v_mps[0] <= 0, "neither is approached"
+
+
+def joined(*bounds: Bounds) -> Bounds:
+    """Return the bounds of one robot for all pairs of several."""
+    names = [field.name for field in fields(Bounds) if field.name != "unseen_mps"]
+    return replace(bounds[0], **{n: np.concatenate([getattr(b, n) for b in bounds]) for n in names})
+
+
+def test_robot_near_image_side_leaves_no_body_beyond_its_margin() -> None:
+    side, body = bounds_of([0], [0.0], [-0.1], is_side=True), bounds_of([90], [0.1], [0.1])
+    assert retreat(joined(body, side), EXACT, np.ones(1, dtype=bool))[0].size == 0
+
+
+def test_image_side_bounds_retreat_from_body() -> None:
+    """The robot leaves along a side behind it, not through it. It does not leave a side beside it."""
+    body, side = bounds_of([0], [0.01], [0.0]), bounds_of([180], [0.01], [0.3], is_side=True)
+    beside = bounds_of([90], [0.0], [0.0], is_side=True)
+    for bounds, cosine in ((body, -1.0), (joined(body, side), 0.0), (joined(body, beside), -1.0)):
+        _, velocities = retreat(bounds, EXACT, np.ones(1, dtype=bool))
+        assert np.cos(np.angle(velocities[0])) == pytest.approx(cosine, abs=0.1)
 
 
 def test_enclosed_robot_or_robot_without_goal_does_not_retreat() -> None:

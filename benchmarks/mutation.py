@@ -1,8 +1,8 @@
 """Run mutation tests of safety-critical code: count small changes that no fast test notices.
 
-Parts are the tree protocol, roles, avoidance, flight laws, selection, the fusion of goals, the reader of
-recordings, output folders and the live team. Each change alters one comparison, operator, number or
-condition, and the part's tests run on it. A change that passes shows a gap in the tests, or has no effect.
+Parts are the tree protocol, roles, avoidance, flight laws, selection, identities, the fusion of goals, the
+reader of recordings, output folders and the live team. Each change alters one comparison, operator, number
+or condition, and the part's tests run on it. A change that passes shows a gap in the tests, or has no effect.
 
     pip install -e '.[test,mutation]'
     python benchmarks/mutation.py --share 0.1            # a tenth of all, drawn from a fixed seed
@@ -62,6 +62,7 @@ PARTS = {
         ("control/selection",),
         "tests/control/selection tests/control/topology/test_conditions_and_selection.py",
     ),
+    "identities": Part(("control/identities.py",), "tests/control/test_identities.py"),
     "fusion": Part(("control/robots/goal_fusion.py",), "tests/control/robots"),
     "recording": Part(
         ("recording/survey.py", "recording/reader.py"),

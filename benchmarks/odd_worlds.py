@@ -13,6 +13,7 @@ python benchmarks/odd_worlds.py none --harsh         # false alarms under slip, 
 ```
 
 `--unchecked` switches the units' check of their cameras off, and `--longest 12` makes faults longer.
+`--together` keeps units from telling robots apart from copies of their markers.
 
 Each run is the scenario `crowd` with another seed and projected noisy markers, with a single unit if its
 camera is faulty. Robots have bodies of two
@@ -63,8 +64,9 @@ WAY_OUT_SPEED_MPS, WAY_OUT_AFTER_S, WAY_OUT_FOR_S = 0.3, 1.0, 3.0
 """A robot has a way out if it can drive straight at this speed, after this time, for this time. Chosen: half
 of the top speed, the time of a response and a turn, and a way of more than the diameter of a body."""
 
-DURATION_S = {"movers": 140.0, **dict.fromkeys(FAULTS, 40.0)}
-"""Simulated time by world, s. Chosen: a mover at 0.1 m/s has passed the shape, and a fault has ended."""
+DURATION_S = {"movers": 140.0, "sheets": 120.0, **dict.fromkeys(FAULTS, 40.0)}
+"""Simulated time by world, s. Chosen: a mover at 0.1 m/s has passed the shape, a fault has
+ended, and all robots are told apart although one unit after the other sees them."""
 
 USUAL_DURATION_S = 40.0
 """Simulated time in other worlds, s. Chosen: twice the time in which the shape is formed."""
@@ -161,6 +163,7 @@ def load_world(
     world: str,
     *,
     checked: bool = True,
+    apart: bool = True,
     harsh: bool = False,
     longest_s: float = MAX_FAULT_S,
 ) -> Mission:
@@ -171,6 +174,7 @@ def load_world(
         f"duration_s={DURATION_S.get(world, USUAL_DURATION_S)}",
     ]
     settings += [] if checked else ["control.camera_check=false"]
+    settings += [] if apart else ["control.tell_apart=false"]
     settings += draw_fault(seed, world, longest_s) if world in FAULTS else []
     settings += HARSH if harsh else []
     if world == "movers":
@@ -254,6 +258,7 @@ def run_world(
     world: str,
     *,
     checked: bool = True,
+    apart: bool = True,
     harsh: bool = False,
     longest_s: float = MAX_FAULT_S,
 ) -> Row:
@@ -262,7 +267,7 @@ def run_world(
     A contact with an additional body is avoidable if the robot had a way out when the body came within its
     margin (`has_way_out`).
     """
-    mission = load_world(seed, world, checked=checked, harsh=harsh, longest_s=longest_s)
+    mission = load_world(seed, world, checked=checked, apart=apart, harsh=harsh, longest_s=longest_s)
     perception = make_run_perception(mission)
     extra = None
     if world not in ("none", *FAULTS):
@@ -346,6 +351,7 @@ def main() -> None:
     )
     parser.add_argument("world", choices=WORLDS)
     parser.add_argument("--unchecked", action="store_true", help="units trust every image")
+    parser.add_argument("--together", action="store_true", help="units do not tell robots from copies")
     parser.add_argument("--harsh", action="store_true", help="imperfect wheels and radio")
     parser.add_argument("--longest", type=float, default=MAX_FAULT_S, help="longest fault, s, up to 12")
     parser.add_argument("--runs", type=int, default=20)
@@ -358,6 +364,7 @@ def main() -> None:
         run_world,
         world=options.world,
         checked=not options.unchecked,
+        apart=not options.together,
         harsh=options.harsh,
         longest_s=options.longest,
     )

@@ -23,6 +23,7 @@ from skyherd.control.formation.similarity import Similarity, desired_points, fit
 from skyherd.control.formation.size import SizeRule
 from skyherd.control.formation.template import Template
 from skyherd.control.goals import motion_goals
+from skyherd.control.identities import Copies
 from skyherd.control.policy import (
     NO_ROBOTS,
     Delivery,
@@ -69,6 +70,7 @@ __all__ = [
     "CameraRule",
     "Conditions",
     "ControlSets",
+    "Copies",
     "Decision",
     "Delivery",
     "Detour",

@@ -27,7 +27,7 @@ from skyherd.control.formation.schedule import Schedule
 from skyherd.control.formation.size import SideConsensus, SizeRule
 from skyherd.control.formation.template import Template
 from skyherd.control.goals import led_goals, lyapunov_term, motion_goals
-from skyherd.control.identities import AmbiguousIds
+from skyherd.control.identities import AmbiguousIds, Turns
 from skyherd.control.policy import FlightLaw, FlightTask, Selection, SelectionPolicy
 from skyherd.control.rectification.ground_map import GroundMap
 from skyherd.control.rectification.rectifier import Rectifier, rectified
@@ -52,6 +52,7 @@ class Decision:
         flight: command to its own autopilot.
         proximity: gaps between bodies, for its robots; None if robots are points.
         ground_map: rectification map of the detections; the identity without a rectifier.
+        turns: goals that make robots with ambiguous ids turn, so that they are told apart; None without any.
         suspicion: reason why the unit suspects its camera and sends nothing; empty if it trusts the camera.
             The report then only lists the markers of the image, and is not sent.
     """
@@ -62,6 +63,7 @@ class Decision:
     flight: FlightCommand
     proximity: Proximity | None = None
     ground_map: GroundMap = field(default_factory=GroundMap)
+    turns: MotionGoals | None = None
     suspicion: str = ""
 
     __repr__ = short_repr
@@ -92,6 +94,7 @@ class AerialController:
             trust every image.
         lead: the robots' response to goals, by which the unit leads them along with a moving shape; None if
             the shape may not move.
+        asks_turns: whether the unit makes robots with ambiguous ids turn, so that `Copies` tells them apart.
 
     Raises:
         InputError: the shape moves, and `lead` is None.
@@ -112,6 +115,7 @@ class AerialController:
         clock: TeamClock | None = None,
         camera: CameraRule | None = None,
         lead: LeadRule | None = None,
+        asks_turns: bool = False,
     ) -> None:
         check_kind("AerialController: schedule", schedule, (Template, Schedule), "a Template or a Schedule")
         self.schedule = Schedule(schedule) if isinstance(schedule, Template) else schedule
@@ -119,7 +123,7 @@ class AerialController:
         self.rectifier, self.nearest, self.report_lifetime_s = rectifier, nearest, report_lifetime_s
         self.roles = Roles(roles, self.template)
         self.bodies, self.hidden_robots = bodies, HiddenRobots(self.template.ids)
-        self.ambiguous_ids = AmbiguousIds()
+        self.ambiguous_ids, self.turns = AmbiguousIds(), Turns() if asks_turns else None
         self.size, self.side_consensus = size or SizeRule(), SideConsensus()
         self.clock = clock
         if self.schedule.motions and lead is None:
@@ -183,6 +187,7 @@ class AerialController:
             flight=self._fly(seen, selection, recent),
             proximity=near,
             ground_map=ground_map,
+            turns=self._turns(everything, ambiguous),
         )
 
     def _suspect(self, seen: Detections, suspicion: str) -> Decision:
@@ -215,6 +220,10 @@ class AerialController:
         else:
             return FlightCommand.hold(seen.unit_id)
         return self.flight.command(seen, task, reports)
+
+    def _turns(self, everything: Detections, ambiguous: AbstractSet[int]) -> MotionGoals | None:
+        """Return the goals that make robots with ambiguous ids turn, if the unit asks for turns."""
+        return None if self.turns is None else self.turns.ask(everything, ambiguous & self.template.members)
 
     def _near_bodies(
         self,

@@ -114,7 +114,8 @@ class CameraRule:
         if proximity is None:
             return allowed
         allowed[:] = np.inf
-        gaps_m = (proximity.distances_sides - proximity.reaches_sides) * self.side_m
+        reaches_sides = proximity.reaches_sides + proximity.ways_sides
+        gaps_m = (proximity.distances_sides - reaches_sides) * self.side_m
         # Twice the nominal age: some messages are lost.
         ages_s = np.full(gaps_m.size, 2 * avoidance.nominal_age_s)
         limits_mps = avoidance.limit_mps(proximity.shares * np.maximum(gaps_m, 0.0), ages_s)

@@ -2,7 +2,8 @@
 
 `create_detector` creates a detector by name, and `Detector` is the interface of all detectors. `explain`
 returns the reasons why markers were not detected, and `suggest` returns settings to try. `measure_outlines`
-fits detected markers again, for corners with full covariances. `fuse_markers` joins the markers of a robot.
+fits detected markers again, for corners with full covariances. `measure_marker_images` gives their light and
+blur. `fuse_markers` joins the markers of a robot.
 """
 
 from skyherd.vision.detectors.accuracy import DetectorAccuracy, load_accuracy
@@ -22,16 +23,21 @@ from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
 from skyherd.vision.fusion.fuse import fuse_markers
 from skyherd.vision.photometric.detector import DeferringDetector, PhotometricDetector
+from skyherd.vision.photometric.marker_images import MarkerImages, measure_marker_images
 from skyherd.vision.photometric.outlines import measure_outlines
+from skyherd.vision.photometric.verify import MAX_BLUR_CELLS, MIN_MARKER_CONTRAST
 
 __all__ = [
     "APRILTAG_FAMILIES",
     "DEFAULT_DETECTOR",
     "DEFAULT_DICTIONARY",
     "LOCUS_FAMILIES",
+    "MAX_BLUR_CELLS",
+    "MIN_MARKER_CONTRAST",
     "DeferringDetector",
     "Detector",
     "DetectorAccuracy",
+    "MarkerImages",
     "PeerDetector",
     "PhotometricDetector",
     "Reason",
@@ -45,6 +51,7 @@ __all__ = [
     "find_dictionary",
     "fuse_markers",
     "load_accuracy",
+    "measure_marker_images",
     "measure_outlines",
     "peer_names",
     "suggest",

@@ -48,5 +48,6 @@ def avoiding_law(
         rho[blocked] = velocities / gain
         leaving, velocities = retreat(bounds, rule, np.ones(rho.size, bool) if driven is None else driven)
         rho[leaving] = velocities / gain
+        bounds = bounds.of_retreat(leaving)
     v_mps, omega_radps = wheel_law(rho, law, rule.wheels)
     return slowed(v_mps, omega_radps, bounds=bounds, rule=rule)

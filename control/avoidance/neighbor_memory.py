@@ -42,6 +42,7 @@ class NeighborMemory:
         distances_sides: (N, M) distances between centres at the time of the image.
         reaches_sides: (N, M) distances between centres at which the two bodies touch.
         shares: (N, M) share of the gap that the robot may use up.
+        ways_sides: (N, M) additional gap by which the robot makes way for another one.
         directions_rad: (N, M) directions to the other body in the frame of each robot at the start.
         imaged_s: (N, M) time of the image; -inf if unknown, or if the two are far apart.
         horizon_sides: (N,) bodies that were not reported were farther away than this.
@@ -75,6 +76,7 @@ class NeighborMemory:
         self.distances_sides: Array = np.zeros(shape)
         self.reaches_sides: Array = np.zeros(shape)
         self.shares: Array = np.ones(shape)
+        self.ways_sides: Array = np.zeros(shape)
         self.directions_rad: Array = np.zeros(shape)
         self.imaged_s: Array = np.full(shape, -np.inf)
         self.horizon_sides: Array = np.zeros(ids.size)
@@ -180,6 +182,7 @@ class NeighborMemory:
         self.distances_sides = np.pad(self.distances_sides, more)
         self.reaches_sides = np.pad(self.reaches_sides, more)
         self.shares = np.pad(self.shares, more, constant_values=1.0)
+        self.ways_sides = np.pad(self.ways_sides, more)
         self.directions_rad = np.pad(self.directions_rad, more)
         self.imaged_s = np.pad(self.imaged_s, more, constant_values=-np.inf)
         self.other_ids = np.append(self.other_ids, ANONYMOUS_ID)
@@ -232,6 +235,7 @@ class _Places:
     distances_sides: Array
     reaches_sides: Array
     shares: Array
+    ways_sides: Array
     directions_rad: Array
     imaged_s: Array
 
@@ -247,6 +251,7 @@ class _Places:
             distances_sides=message.distances_sides,
             reaches_sides=message.reaches_sides,
             shares=message.shares,
+            ways_sides=message.ways_sides,
             directions_rad=directions_rad,
             imaged_s=np.full(directions_rad.shape, message.time_s),
         )

@@ -49,6 +49,7 @@ class _Pairs:
     distances_sides: Array
     reaches_sides: Array
     shares: Array
+    ways_sides: Array
 
 
 def proximity(
@@ -91,6 +92,7 @@ def proximity(
         bearings_rad=wrap_angle(detections.headings_rad[pairs.rows] - np.angle(pairs.directions)),
         reaches_sides=pairs.reaches_sides,
         shares=pairs.shares,
+        ways_sides=pairs.ways_sides,
     )
 
 
@@ -120,7 +122,7 @@ def _pairs_of_bodies(
     static = certain & ~is_robot
     gaps = distances - reaches
     np.fill_diagonal(gaps, np.inf)
-    reaches = reaches + yielding_sides(gaps, is_robot)
+    ways = yielding_sides(gaps, is_robot)
     return _Pairs(
         robot,
         np.where(certain[robot] & certain[other], bodies.ids[other], ANONYMOUS_ID),
@@ -128,6 +130,7 @@ def _pairs_of_bodies(
         distances[robot, other],
         reaches[robot, other],
         np.where(static[other], 1.0, 0.5),
+        ways[robot, other],
     )
 
 
@@ -149,4 +152,5 @@ def _pairs_with_border(
         np.maximum(depths[robot, side], 0.0),
         np.full(robot.size, reach),
         np.ones(robot.size),
+        np.zeros(robot.size),
     )

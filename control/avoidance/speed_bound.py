@@ -13,7 +13,7 @@ and its assumptions. Braking distance and actuation delay are part of A.
 The remaining law is free (`skyherd.control.avoidance.avoiding_law`). The bound is applied last.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from skyherd.control.avoidance.detour import Detour
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
 from skyherd.control.robots.unicycle import Wheels
 from skyherd.geometry import Array, BoolArray, IntArray, wrap_angle
-from skyherd.messages import TIME_TOLERANCE_S
+from skyherd.messages import ANONYMOUS_ID, BORDER_IDS, TIME_TOLERANCE_S, among
 from skyherd.messages.checks import check_numbers
 
 MIN_DISTANCE_M = 1e-9
@@ -52,6 +52,7 @@ class AvoidanceRule:
         bearing_error_rad: maximum error of a bearing when its message arrives.
         lifetime_s: age at which messages are stale.
         detour: name of the detour rule, or `none`.
+        retreat_sides: part of the margin that a robot may use up while it leaves a body, marker sides.
     """
 
     side_m: float
@@ -69,6 +70,7 @@ class AvoidanceRule:
     bearing_error_rad: float = 0.0
     lifetime_s: float = 2.0
     detour: Detour = "around"
+    retreat_sides: float = 0.0
 
     def __post_init__(self) -> None:
         check_numbers(
@@ -85,6 +87,7 @@ class AvoidanceRule:
                 "clock_margin_s",
                 "line_s",
                 "bearing_error_rad",
+                "retreat_sides",
             ),
         )
 
@@ -127,7 +130,10 @@ class Bounds:
         bearings_rad: (P,) direction to the other body in the robot's frame.
         speeds_mps: (P,) bounds b on the approach speed.
         slack_rad: (P,) maximum error of the bearing.
-        within: (P,) whether the other body was within the margin in the image.
+        gaps_m: (P,) gaps beyond the margin in the image; negative within it.
+        distances_m: (P,) distances between the centres in the image.
+        retreat_mps: (P,) bounds b of a robot that leaves a body within its margin.
+        is_side: (P,) sides of an image, which moves with its camera; bodies may stand beyond them.
         unseen_mps: (N,) bound on each robot's speed in every direction, for bodies without a message.
     """
 
@@ -135,8 +141,21 @@ class Bounds:
     bearings_rad: Array
     speeds_mps: Array
     slack_rad: Array
-    within: BoolArray
+    gaps_m: Array
+    distances_m: Array
+    retreat_mps: Array
+    is_side: BoolArray
     unseen_mps: Array
+
+    def take(self, pairs: BoolArray) -> "Bounds":
+        """Return the bounds of the pairs in a mask (P,)."""
+        names = [field.name for field in fields(self) if field.name != "unseen_mps"]
+        return replace(self, **{name: getattr(self, name)[pairs] for name in names})
+
+    def of_retreat(self, leaving: IntArray) -> "Bounds":
+        """Return the bounds with those of a retreat for the robots in rows (R,)."""
+        speeds_mps = np.where(np.isin(self.rows, leaving), self.retreat_mps, self.speeds_mps)
+        return replace(self, speeds_mps=speeds_mps)
 
 
 def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | float) -> Bounds:
@@ -152,7 +171,8 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | 
     time_s = np.broadcast_to(time_s, memory.ids.shape)
     age_s = np.maximum(time_s[pair[0]] - memory.imaged_s[pair], 0.0) + rule.clock_margin_s
     distances_m = memory.distances_sides[pair] * rule.side_m
-    gaps_m = distances_m - memory.reaches_sides[pair] * rule.side_m  # below 0 the limit is 0
+    gaps_m = _gaps_sides(memory, pair) * rule.side_m  # below 0 the limit is 0
+    lent_m = rule.retreat_sides * rule.side_m
     is_newest = age_s < rule.superseded_age_s - TIME_TOLERANCE_S
     strayed_m = np.where(is_newest, 0.0, 2 * rule.wheels.max_speed_mps * (age_s + rule.line_s))
     turned = np.arcsin(np.minimum(strayed_m / np.maximum(distances_m, MIN_DISTANCE_M), 1.0))
@@ -164,9 +184,26 @@ def closing_bounds(memory: NeighborMemory, rule: AvoidanceRule, time_s: Array | 
         slack_rad=np.where(strayed_m < distances_m, turned, np.pi)
         + rule.turn_error_radps * (age_s + rule.held_s)
         + rule.bearing_error_rad,
-        within=gaps_m <= 0,
+        gaps_m=gaps_m,
+        distances_m=distances_m,
+        retreat_mps=rule.limit_mps(memory.shares[pair] * (gaps_m + lent_m), age_s),
+        is_side=among(memory.other_ids[pair[1]], BORDER_IDS),
         unseen_mps=rule.limit_mps(memory.horizon_sides * rule.side_m / 2, unseen_s),
     )
+
+
+def _gaps_sides(memory: NeighborMemory, pair: tuple[IntArray, IntArray]) -> Array:
+    """Return the gaps (P,) beyond the margin in the images, marker sides.
+
+    A robot makes way for others, unless a body that is no robot of the team is within its own margin. A unit
+    that does not see this body may ask it to.
+    """
+    row, column = pair
+    gaps_sides = memory.distances_sides[pair] - memory.reaches_sides[pair]
+    ids = memory.other_ids[column]
+    is_foreign = (ids == ANONYMOUS_ID) | ((ids >= 0) & (memory.shares[pair] == 1))
+    leaves = np.isin(row, row[is_foreign & (gaps_sides <= 0)])
+    return np.asarray(gaps_sides - np.where(leaves, 0.0, memory.ways_sides[pair]))
 
 
 def approach_speeds(speeds_mps: Array, angles_rad: Array, rule: AvoidanceRule) -> Array:

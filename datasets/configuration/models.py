@@ -105,6 +105,11 @@ class ControlModel(Model):
         description="whether units compare their images with the commanded motion, and send nothing while "
         "their camera seems to be frozen or to replay old images",
     )
+    tell_apart: bool = Field(
+        True,
+        description="whether units make a robot whose id they see at several places turn, and take the "
+        "marker that turns as the robot",
+    )
 
 
 class SelectionModel(Model):

@@ -52,6 +52,7 @@ FILMS = {
     "star": Film(frames=200, share=1.0),
     "letters": Film(frames=280, share=1.0),
     "tree": Film(frames=240, share=1.0),
+    "moving": Film(frames=240, share=1.0),
     "crowd": Film(frames=200, share=1.0),
     "handheld": Film(frames=200, share=1.0),
 }

@@ -22,6 +22,7 @@ from skyherd.sim.perception import make_run_perception
 from skyherd.sim.physics import make_network, make_world
 from skyherd.sim.robot_teams import TeamFactory, make_team
 from skyherd.sim.sight import Perception, Sight
+from skyherd.sim.told_apart import with_robots_told_apart
 from skyherd.sim.truth_metrics import TruthMetrics, TruthObserver
 from skyherd.sim.world import Fleet
 
@@ -124,7 +125,7 @@ def run_steps(
     frame_rng = generator(scenario.seed, RunStream.LOST_FRAMES)
     world, observer = make_world(mission), TruthObserver(mission.template, mission.ids)
     perception = with_fused_markers(perception or make_run_perception(mission), mission)
-    perception = with_camera_faults(perception, mission)
+    perception = with_robots_told_apart(with_camera_faults(perception, mission), mission)
     network = make_network(scenario, generator(scenario.seed, RunStream.MESSAGES))
     agents, team = UnitAgents(mission, controller_for), team_for(mission, world)
     simulation = Simulation(world, network, team)
@@ -150,7 +151,8 @@ def run_steps(
             decision = agents.decide(sight.detections, list(network.reports[unit].values()))
             arrival_s = time_s + scenario.units[unit].latency_s
             if not decision.suspicion:
-                network.send((decision.goals, decision.proximity), decision.report, arrival_s)
+                to_robots = decision.goals, decision.turns, decision.proximity
+                network.send(to_robots, decision.report, arrival_s)
             world.fly(decision.flight)
             frames[unit] = UnitFrame(sight, decision)
         orders = team.decide(time_s, network.deliver(time_s))

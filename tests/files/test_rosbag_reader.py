@@ -11,7 +11,7 @@ from command_line import assert_refused, call
 
 from skyherd.errors import InputError, InputWarning
 from skyherd.files.image_streams import is_stream, open_stream, read_stream
-from skyherd.files.rosbag_reader import ENCODINGS
+from skyherd.files.ros_images import ENCODINGS
 
 IMAGES = np.random.default_rng(1).integers(0, 256, (3, 40, 60), dtype=np.uint8)
 """Grey images (3, height, width)."""

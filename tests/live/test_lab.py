@@ -291,3 +291,21 @@ class TestBodies:
         # An error of a default value, caused by another key, names the file.
         assert str(refusal.value).startswith((f"--set {place}", f"{webcams}: {place}"))
         assert "\n" not in str(refusal.value)
+
+
+class TestTable:
+    """The lab `table`, and the scenario that replaces its hardware."""
+
+    def test_lab_and_scenario_describe_the_same_table(self) -> None:
+        lab, mission = load_lab("table").model, load_mission("table")
+        assert [robot.id for robot in lab.robots] == mission.ids.tolist()
+        assert lab.markers.side_m == mission.scenario.marker.side_m
+        assert lab.shape.size == mission.scenario.size and lab.shape.shape == "grid"
+        assert len(lab.cameras) == len(mission.scenario.units) == 1
+        assert any(mission.scenario.units[0].tilt_deg)
+
+    @pytest.mark.slow
+    def test_scenario_forms_its_shape_from_pixels(self, tmp_path, capsys) -> None:
+        settings = ["--set", "duration_s=25", "--no-video", "--out", tmp_path / "run"]
+        code, out, _ = call(capsys, "run", "table", *settings)
+        assert code == 0 and "Shape reached" in out

@@ -75,6 +75,19 @@ def test_goals_and_detections_are_bit_exact(tmp_path, mission, steps):
             np.testing.assert_array_equal(frame.decision.goals.rho_px, theirs.decision.goals.rho_px)
 
 
+def test_turns_that_units_ask_for_are_read_back(tmp_path, mission, steps):
+    seen = [step for step in steps if 0 in step.frames][:2]
+    frame = seen[0].frames[0]
+    turns = replace(frame.decision.goals, bearings_rad=np.full(len(frame.decision.goals.ids), np.pi / 2))
+    asked = replace(frame, decision=replace(frame.decision, turns=turns))
+    first = replace(seen[0], frames=seen[0].frames | {0: asked})
+    recording = read_recording(record(tmp_path / "run.mcap", mission, [first, seen[1]]))
+    read, after = (step.frames[0].decision for step in recording.steps)
+    np.testing.assert_array_equal(read.turns.bearings_rad, turns.bearings_rad)
+    np.testing.assert_array_equal(read.goals.bearings_rad, frame.decision.goals.bearings_rad)
+    assert after.turns is None
+
+
 def test_images_are_read_back_as_jpeg(tmp_path, mission, steps):
     path = record(tmp_path / "run.mcap", mission, steps[:2], images=True)
     assert read_recording(path).has_images

@@ -21,8 +21,8 @@ from skyherd.sim.robot_teams import shape_m
 GOAL_NUMBERS = 3
 """Numbers in a robot's goal beside its distances to neighbours: length, bearing, side of its marker."""
 
-PAIR_NUMBERS = 4
-"""Numbers per body near a robot: distance, bearing, combined reach, and share of the gap."""
+PAIR_NUMBERS = 5
+"""Numbers per body near a robot: distance, bearing, combined reach, share of the gap, and way."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,10 @@ def _sent(frame: UnitFrame) -> tuple[int, int]:
     if frame.decision.suspicion:
         return 0, 0
     messages, numbers = 1, _numbers_in(frame.decision.report)
-    if (goals := frame.decision.goals) is not None:
-        messages += len(goals)
-        numbers += GOAL_NUMBERS * len(goals) + int((goals.neighbor_ids >= 0).sum())
+    for goals in (frame.decision.goals, frame.decision.turns):
+        if goals is not None:
+            messages += len(goals)
+            numbers += GOAL_NUMBERS * len(goals) + int((goals.neighbor_ids >= 0).sum())
     if (proximity := frame.decision.proximity) is not None:
         messages += len(proximity)
         numbers += PAIR_NUMBERS * proximity.robot_ids.size

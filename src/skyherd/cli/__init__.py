@@ -32,6 +32,7 @@ from skyherd.cli.live_processes import robot, unit, world
 from skyherd.cli.markers import markers
 from skyherd.cli.play import play
 from skyherd.cli.report import report
+from skyherd.cli.ros2 import ros2
 from skyherd.cli.run import run
 from skyherd.cli.scenario import scenario_app
 from skyherd.cli.study import study
@@ -93,6 +94,9 @@ app.command(cls=HelpCommand, rich_help_panel=STEER, short_help="Run the process 
 app.command(
     cls=HelpCommand, rich_help_panel=STEER, short_help="Simulate a lab's cameras and robots in real time."
 )(world)
+app.command(
+    cls=HelpCommand, rich_help_panel=STEER, short_help="Publish the markers that a camera sees, for ROS 2."
+)(ros2)
 app.command(cls=HelpCommand, rich_help_panel=DATA)(report)
 app.command(cls=HelpCommand, rich_help_panel=DATA)(export)
 app.add_typer(dataset_app, name="dataset", cls=HelpGroup, rich_help_panel=DATA)

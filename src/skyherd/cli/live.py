@@ -1,7 +1,7 @@
 """`skyherd live`: check, run, arm and stop a lab of real cameras and robots, and repeat its decisions."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,6 +13,7 @@ from skyherd.cli.interrupts import signals_as_requests
 
 if TYPE_CHECKING:
     from skyherd.live.lab import Lab
+    from skyherd.live.lab.camera_survey import CameraSurvey, Finding
     from skyherd.live.mailbox import Radio
     from skyherd.live.operator import Outcome
 
@@ -57,49 +58,62 @@ def check(
     no_cameras: Annotated[
         bool, typer.Option("--no-cameras", help="Check only the file. Do not open the cameras.")
     ] = False,
+    seconds: Annotated[
+        float, typer.Option(metavar="S", min=0.1, max=600, help="Watch each camera for this time.")
+    ] = 2.0,
     settings: Settings = None,
 ) -> int:
-    """Check a lab file, and open every camera once. Exit code 0 if all is well, 2 if not."""
+    """Check a lab file, and watch every camera: coverage, overlap, marker sizes, light and blur.
+
+    Move robots by hand meanwhile to see the blur of motion. Exit code 0 if all is well, 2 if there is a
+    problem.
+    """
     from skyherd.live.lab import check_drivers, load_lab
+    from skyherd.live.lab.camera_survey import team_findings
 
     lab = load_lab(lab_file, settings or [])
     check_drivers(lab.model, lab_file, imports=True)
     radio = lab.model.radio
     if not radio.is_secured:
         warn("radio: reaches beyond this machine without TLS: `live run` asks for --insecure")
-    fine = True
-    for unit, camera in enumerate(lab.model.cameras):
-        fine &= no_cameras or _check_camera(lab, unit, camera.address)
     good = f"{len(lab.ids)} robots, {len(lab.model.cameras)} camera(s)"
-    say(f"{lab_file}: good: {good}" if fine else f"{lab_file}: {good}, but not all cameras show robots")
+    if no_cameras:
+        say(f"{lab_file}: good: {good}")
+        return 0
+    surveys = [survey for unit in range(len(lab.model.cameras)) if (survey := _survey(lab, unit, seconds))]
+    fine = len(surveys) == len(lab.model.cameras)
+    if surveys:
+        fine &= _say_findings(team_findings(lab, surveys))
+    fine &= all(survey.is_fine for survey in surveys)
+    say(f"{lab_file}: good: {good}" if fine else f"{lab_file}: {good}, with problems")
     return 0 if fine else 2
 
 
-def _check_camera(lab: "Lab", unit: int, address: str) -> bool:
-    """Open a camera, and say what is seen in its first pictures."""
+def _survey(lab: "Lab", unit: int, seconds: float) -> "CameraSurvey | None":
+    """Watch a camera, and print the results; return None if it shows nothing."""
     from skyherd.errors import InputError
-    from skyherd.live.cameras import open_camera
-    from skyherd.messages import among
-    from skyherd.vision import create_detector
+    from skyherd.live.lab.camera_survey import watch_camera
 
     try:
-        with open_camera(address) as reader:
-            frame = reader.newest(5.0)
-            if frame is None:
-                say(f"camera {unit}: {reader.trouble or 'no picture within 5 s'}")
-                return False
-            detector = create_detector(
-                lab.model.cameras[unit].detector, dictionary=lab.model.markers.dictionary
-            )
-            found = detector.detect(frame.image, time_s=frame.captured_s, unit_id=unit)
-            found = lab.robots_of(found, frame.image)
-            robots = found.ids[among(found.ids, lab.ids)].tolist()
-            height, width = frame.image.shape
-            say(f"camera {unit}: {width}x{height}, robots {robots or 'none'}, stamped by {frame.stamped_by}")
-            return bool(robots)
+        survey = watch_camera(lab, unit, seconds)
     except InputError as error:
         say(f"camera {unit}: {error}")
-        return False
+        return None
+    width, height = survey.size_px
+    say(f"camera {unit}: {width}x{height} px, {survey.images} images")
+    _say_findings(survey.findings())
+    return survey
+
+
+def _say_findings(findings: "Iterable[Finding]") -> bool:
+    """Print findings, one a line; return whether none is a problem."""
+    from skyherd.live.lab.camera_survey import Level
+
+    fine = True
+    for finding in findings:
+        say(f"  {finding.level.value:8}{finding.text}")
+        fine &= finding.level is not Level.PROBLEM
+    return fine
 
 
 @live_app.command()

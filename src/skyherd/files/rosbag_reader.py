@@ -7,19 +7,16 @@ first image. A bag whose end is damaged is read as far as possible, with an `Inp
 
 import struct
 import warnings
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-import numpy.typing as npt
-
 from skyherd.errors import InputError, InputWarning
-from skyherd.files.images import MAX_PIXELS, Grey, grey_of_bytes, grey_of_levels
 from skyherd.files.reading import is_regular, open_regular
+from skyherd.files.ros_images import COMPRESSED, RAW, DamagedImageError, grey_of_message
+from skyherd.files.ros_types import make_typestore
 from skyherd.files.video_reader import USUAL_RATE_HZ, Clip, ClipFrame
 from skyherd.plugins import import_extra
 from skyherd.text import printable
@@ -36,44 +33,6 @@ SQLITE_SUFFIX, MCAP_SUFFIX = ".db3", ".mcap"
 
 MCAP_START, ROS_PROFILE = b"\x89MCAP0\r\n\x01", b"ros2"
 """First bytes of an MCAP file up to the kind of its first record, and the profile in it. Defined by MCAP."""
-
-RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
-"""Types of the messages that are images."""
-
-Levels = npt.NDArray[Any]
-"""Levels (height, width) or (height, width, channels) of a message."""
-
-
-def _converted(code: int) -> Callable[[Levels], Levels]:
-    return lambda levels: cv2.cvtColor(levels, code)
-
-
-def _itself(levels: Levels) -> Levels:
-    return levels
-
-
-ENCODINGS: dict[str, tuple[str, int, Callable[[Levels], Levels]]] = {
-    "mono8": ("u1", 1, _itself),
-    "8UC1": ("u1", 1, _itself),
-    "mono16": ("u2", 1, _itself),
-    "16UC1": ("u2", 1, _itself),
-    "rgb8": ("u1", 3, _converted(cv2.COLOR_RGB2GRAY)),
-    "bgr8": ("u1", 3, _converted(cv2.COLOR_BGR2GRAY)),
-    "8UC3": ("u1", 3, _converted(cv2.COLOR_BGR2GRAY)),
-    "rgba8": ("u1", 4, _converted(cv2.COLOR_RGBA2GRAY)),
-    "bgra8": ("u1", 4, _converted(cv2.COLOR_BGRA2GRAY)),
-    "rgb16": ("u2", 3, _converted(cv2.COLOR_RGB2GRAY)),
-    "bgr16": ("u2", 3, _converted(cv2.COLOR_BGR2GRAY)),
-    "bayer_rggb8": ("u1", 1, _converted(cv2.COLOR_BayerRGGB2GRAY)),
-    "bayer_bggr8": ("u1", 1, _converted(cv2.COLOR_BayerBGGR2GRAY)),
-    "bayer_gbrg8": ("u1", 1, _converted(cv2.COLOR_BayerGBRG2GRAY)),
-    "bayer_grbg8": ("u1", 1, _converted(cv2.COLOR_BayerGRBG2GRAY)),
-    "yuv422": ("u1", 2, lambda levels: levels[..., 1]),
-    "uyvy": ("u1", 2, lambda levels: levels[..., 1]),
-    "yuv422_yuy2": ("u1", 2, lambda levels: levels[..., 0]),
-    "yuyv": ("u1", 2, lambda levels: levels[..., 0]),
-}
-"""Number type, channels and conversion to grey of each encoding that is read. Defined by sensor_msgs."""
 
 GIVE_A_BAG = "give the folder of a rosbag2 recording, or its .mcap or .db3 file"
 """Advice in error messages about bags."""
@@ -150,8 +109,10 @@ def read_bag(clip: Clip) -> Generator[ClipFrame]:
             stamp = message.header.stamp
             time_ns = stamp.sec * 10**9 + stamp.nanosec or logged_ns
             try:
-                image = _grey(f"{clip.path}: {clip.topic}: image {index}", message, connection.msgtype)
-            except _DamagedImageError as error:
+                image = grey_of_message(
+                    f"{clip.path}: {clip.topic}: image {index}", message, connection.msgtype
+                )
+            except DamagedImageError as error:
                 trouble, left_out = error.problem, left_out + 1
                 continue
             first_ns = time_ns if first_ns is None else first_ns
@@ -173,11 +134,9 @@ def _open_reader(path: Path) -> Iterator[Any]:
         InputError: `rosbags` is not installed, or the bag cannot be read.
     """
     highlevel = import_extra("rosbags.highlevel", "rosbags", str(path), "ros")
-    typesys = import_extra("rosbags.typesys", "rosbags", str(path), "ros")
+    typestore = make_typestore(str(path))
     try:
-        reader = highlevel.AnyReader(
-            [path], default_typestore=typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
-        )
+        reader = highlevel.AnyReader([path], default_typestore=typestore)
         reader.open()
     except Exception as error:  # the library raises errors of many kinds
         raise _unreadable(path, error) from None
@@ -198,44 +157,6 @@ def _image_topic(path: Path, reader: Any, topic: str | None) -> str:
     if topic is not None and topic not in found:
         raise InputError("--topic", f"{path} has no image topic {topic!r}", f"one of {names}")
     return found[0] if topic is None else topic
-
-
-class _DamagedImageError(Exception):
-    """An image that cannot be decoded; the next ones may be.
-
-    Attributes:
-        problem: the same as an error of the user.
-    """
-
-    def __init__(self, problem: InputError) -> None:
-        super().__init__(str(problem))
-        self.problem = problem
-
-
-def _grey(where: str, message: Any, kind: str) -> Grey:
-    """Return the image of a message."""
-    if kind == COMPRESSED:
-        if "compressedDepth" in message.format:
-            raise InputError(where, f"format {message.format!r} is not read", "JPEG, PNG or another picture")
-        try:
-            return grey_of_bytes(message.data.tobytes(), where)
-        except InputError as error:
-            raise _DamagedImageError(error) from None
-    encoding = message.encoding
-    if encoding not in ENCODINGS:
-        raise InputError(where, f"encoding {encoding!r} is not read", f"one of {', '.join(ENCODINGS)}")
-    number, channels, to_grey = ENCODINGS[encoding]
-    size = np.dtype(number).itemsize * channels
-    height, width, step = message.height, message.width, message.step
-    short = step < width * size or message.data.size < step * height
-    if short or not 0 < height * width <= MAX_PIXELS:
-        what = f"damaged: {width}x{height} px, rows of {step} bytes, {message.data.size} bytes"
-        raise _DamagedImageError(InputError(where, what, "an image that is whole"))
-    rows = message.data[: step * height].reshape(height, step)[:, : width * size]
-    order = ">" if message.is_bigendian else "<"
-    levels = np.ascontiguousarray(rows).view(order + number).astype(number)
-    grey = to_grey(levels.reshape((height, width, channels) if channels > 1 else (height, width)))
-    return np.ascontiguousarray(grey) if number == "u1" else grey_of_levels(grey)
 
 
 def _unreadable(path: Path, error: Exception) -> InputError:

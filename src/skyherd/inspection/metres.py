@@ -7,15 +7,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from skyherd.control import Rectifier, rectified
-from skyherd.geometry import Array, Image, wrap_angle
+from skyherd.geometry import Image, wrap_angle
 from skyherd.messages import Detections
 from skyherd.poses import (
     Calibration,
-    View,
-    common_frame,
+    CameraPoses,
+    camera_poses,
     ground_covariances,
     ground_positions,
-    marker_poses,
 )
 from skyherd.vision import measure_outlines
 
@@ -68,10 +67,10 @@ class MetricColumns:
         if self._calibration is None:
             return self._ground_rows(found)
         self._calibration.check_image(where, (image.shape[1], image.shape[0]))
-        corners_px, covariances = measure_outlines(
+        corners = measure_outlines(
             image, found, dictionary, border_bits=self._border_bits, inverted=self._inverted
         )
-        return self._pose_rows(self._calibration, corners_px, covariances)
+        return _pose_rows(camera_poses(*corners, self._calibration, self._side_m, one_plane=self._one_plane))
 
     def _ground_rows(self, found: Detections) -> list[dict[str, Any]]:
         self._rectifier.rectify(found.unambiguous())
@@ -84,26 +83,18 @@ class MetricColumns:
             for place, yaw, std in zip(positions.tolist(), yaws_deg.tolist(), stds, strict=True)
         ]
 
-    def _pose_rows(
-        self, calibration: Calibration, corners_px: Array, corner_covariances: Array
-    ) -> list[dict[str, Any]]:
-        poses = marker_poses(corners_px, corner_covariances, calibration, self._side_m)
-        turns, shifts, covariances, kind = poses.rotations, poses.translations_m, poses.covariances, "alone"
-        if self._one_plane and len(turns) > 1:
-            # Numbers for ids, since an id may be found twice.
-            view = View("image", calibration, np.arange(len(turns)), corners_px, corner_covariances)
-            plane = common_frame([view], self._side_m, coplanar=True)
-            if plane.consistent:
-                (turns, shifts, covariances), kind = plane.in_camera(0), "plane"
-        rows = []
-        for k, (turn, shift, covariance) in enumerate(zip(turns, shifts, covariances, strict=True)):
-            ratio = poses.log_ratios[k]
-            doubt = [kind, float(ratio) if kind == "alone" else None]
-            values = [*shift, *Rotation.from_matrix(turn).as_rotvec(), *np.sqrt(np.diag(covariance)), *doubt]
-            row = dict(zip(POSE_COLUMNS, values, strict=True))
-            row["pose_covariance"] = covariance
-            if doubt[1] is not None:
-                other = Rotation.from_matrix(poses.other_rotations[k]).as_rotvec()
-                row["other_pose"] = np.concatenate([poses.other_translations_m[k], other])
-            rows.append(row)
-        return rows
+
+def _pose_rows(found: CameraPoses) -> list[dict[str, Any]]:
+    """Return the values of `POSE_COLUMNS` and the covariance of each marker."""
+    rows = []
+    for k, (turn, shift, covariance) in enumerate(zip(*found[:3], strict=True)):
+        alone = found.alone
+        doubt = ["plane", None] if alone is None else ["alone", float(alone.log_ratios[k])]
+        values = [*shift, *Rotation.from_matrix(turn).as_rotvec(), *np.sqrt(np.diag(covariance)), *doubt]
+        row = dict(zip(POSE_COLUMNS, values, strict=True))
+        row["pose_covariance"] = covariance
+        if alone is not None:
+            other = Rotation.from_matrix(alone.other_rotations[k]).as_rotvec()
+            row["other_pose"] = np.concatenate([alone.other_translations_m[k], other])
+        rows.append(row)
+    return rows

@@ -1,11 +1,17 @@
 """Distances and bearings to nearby bodies, which units send to robots without own sensors."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, IntArray
 from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
+
+
+def _no_ways() -> Array:
+    return np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,8 @@ class Proximity:
         reaches_sides: (P,) distances between the centres at which the bodies touch, margin included.
         shares: (P,) share of the gap that the robot may use up: 1/2 if the other body is or may be a robot,
             which receives the same pair, and 1 if it is static.
+        ways_sides: (P,) additional gap by which the robot makes way for another one that leaves a body; all 0
+            if left out.
 
     Raises:
         MessageError: a shape is wrong, an id in `ids` occurs twice, or a distance is negative.
@@ -47,6 +55,7 @@ class Proximity:
     bearings_rad: Array
     reaches_sides: Array
     shares: Array
+    ways_sides: Array = field(default_factory=_no_ways)
 
     def __post_init__(self) -> None:
         check_time(self)
@@ -54,10 +63,13 @@ class Proximity:
         freeze(self, "robot_ids", (None,), integer=True)
         pairs = self.robot_ids.size
         freeze(self, "other_ids", (pairs,), integer=True)
-        for name in ("distances_sides", "bearings_rad", "reaches_sides", "shares"):
+        if not np.size(self.ways_sides):
+            object.__setattr__(self, "ways_sides", np.zeros(pairs))
+        for name in ("distances_sides", "bearings_rad", "reaches_sides", "shares", "ways_sides"):
             freeze(self, name, (pairs,))
-        if (self.distances_sides < 0).any() or (self.reaches_sides < 0).any():
-            raise MessageError("Proximity: distances_sides and reaches_sides must not be negative")
+        for name in ("distances_sides", "reaches_sides", "ways_sides"):
+            if (getattr(self, name) < 0).any():
+                raise MessageError(f"Proximity: {name} must not be negative")
 
     def __len__(self) -> int:
         return int(self.ids.size)

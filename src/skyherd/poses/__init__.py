@@ -7,16 +7,20 @@ cameras in one frame.
 """
 
 from skyherd.poses.calibration import Calibration
-from skyherd.poses.calibration_files import read_calibration
+from skyherd.poses.calibration_files import calibration_of, read_calibration
+from skyherd.poses.camera_poses import CameraPoses, camera_poses
 from skyherd.poses.common_frame import CommonFrame, View, common_frame, locate_camera
 from skyherd.poses.ground import check_side, ground_covariances, ground_positions
 from skyherd.poses.marker_poses import MarkerPoses, marker_poses
 
 __all__ = [
     "Calibration",
+    "CameraPoses",
     "CommonFrame",
     "MarkerPoses",
     "View",
+    "calibration_of",
+    "camera_poses",
     "check_side",
     "common_frame",
     "ground_covariances",

@@ -89,12 +89,21 @@ def read_calibration(where: Path | str) -> Calibration:
     if not name and len(cameras) > 1:
         raise InputError(path, f"{len(cameras)} cameras", f"one of {path}#{', #'.join(cameras)}")
     name = name or next(iter(cameras))
+    return calibration_of(f"{path}#{name}" if name else path, cameras[name])
+
+
+def calibration_of(where: str, values: Table) -> Calibration:
+    """Return the calibration of one camera, by the keys that a file or a `sensor_msgs/CameraInfo` has.
+
+    Raises:
+        InputError: a value is missing or invalid; `where` names its source.
+    """
     try:
-        return _calibration(cameras[name])
+        return _calibration(values)
     except InputError as error:
-        raise error.within(f"{path}#{name}" if name else path) from None
+        raise error.within(where) from None
     except MessageError as error:
-        raise InputError(path, str(error), ALLOWED) from None
+        raise InputError(where, str(error), ALLOWED) from None
 
 
 def _parsed(file: Path) -> Table:

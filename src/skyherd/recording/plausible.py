@@ -127,15 +127,16 @@ def _check_frame(unit: int, frame: UnitFrame, mission: Mission) -> None:
     sight, decision = frame.sight, frame.decision
     known = np.concatenate([mission.ids, mission.obstacle_ids])
     size = mission.scenario.units[unit].camera.size_px
-    report, goals = decision.report, decision.goals
+    report = decision.report
     _require(tuple(sight.detections.image_size_px) == size, "detections: the camera's image size")
     _require(_are_among(report.controlled_ids, mission.ids), "report: controlled_ids must be robots'")
     _require(_are_among(sight.whole_ids, known), "truth: whole_ids must be of markers")
     _require(_are_among(sight.found_ids, sight.whole_ids), "truth: found_ids must be of whole_ids")
     _require(_is_count(sight.false_detections), "truth: false_detections")
-    if goals is not None:
-        seen = _are_among(goals.ids, decision.detections.ids) and _are_among(goals.ids, mission.ids)
-        _require(seen, "goals: ids must be of robots that were seen")
+    for name, goals in (("goals", decision.goals), ("turns", decision.turns)):
+        if goals is not None:
+            seen = _are_among(goals.ids, decision.detections.ids) and _are_among(goals.ids, mission.ids)
+            _require(seen, f"{name}: ids must be of robots that were seen")
     if report.roles is not None:
         _require(report.roles.roles.size == mission.ids.size, "roles must be of all robots")
     if report.tree is not None:

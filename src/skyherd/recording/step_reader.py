@@ -59,9 +59,10 @@ UNSENT = "the camera was suspected"
 
 
 def _read_frame(topic: str, records: dict[str, Any], size_px: tuple[int, int]) -> UnitFrame:
-    truth, goals, image, near = (
+    truth, goals, turns, image, near = (
         records[f"{topic}/truth"],
         records.get(f"{topic}/goals"),
+        records.get(f"{topic}/turns"),
         records.get(f"{topic}/image"),
         records.get(f"{topic}/proximity"),
     )
@@ -83,6 +84,7 @@ def _read_frame(topic: str, records: dict[str, Any], size_px: tuple[int, int]) -
         report=UnitReport.of_image(sight.detections) if report is None else _read_report(report),
         flight=from_plain(FlightCommand, records[f"{topic}/flight"]),
         proximity=None if near is None else from_plain(Proximity, near),
+        turns=None if turns is None else from_plain(MotionGoals, turns),
         ground_map=ground_map,
         suspicion=UNSENT if report is None else "",
     )

@@ -18,6 +18,7 @@ Topics, J being the number of a unit:
 /end                at a normal end of the run: the number of steps
 /unit/J/detections  detections in an image
 /unit/J/goals       to the robots that it controls; missing while it has none
+/unit/J/turns       to robots that it makes turn, to tell them from copies; missing if there are none
 /unit/J/proximity   bodies near the robots, for avoidance; missing without bodies
 /unit/J/report      to the other units
 /unit/J/flight      to its own autopilot
@@ -71,6 +72,7 @@ OBJECT: dict[str, Any] = {"type": "object"}
 UNIT_TOPICS: Mapping[str, Schema] = {
     "detections": ("skyherd.Detections", Detections),
     "goals": ("skyherd.MotionGoals", MotionGoals),
+    "turns": ("skyherd.MotionGoals", MotionGoals),
     "proximity": ("skyherd.Proximity", Proximity),
     "report": ("skyherd.UnitReport", UnitReport),
     "flight": ("skyherd.FlightCommand", FlightCommand),
@@ -201,6 +203,8 @@ class McapRecorder:
         self._log.put(f"{topic}/detections", time_s, sight.detections)
         if decision.goals is not None:
             self._log.put(f"{topic}/goals", time_s, decision.goals)
+        if decision.turns is not None:
+            self._log.put(f"{topic}/turns", time_s, decision.turns)
         if decision.proximity is not None:
             self._log.put(f"{topic}/proximity", time_s, decision.proximity)
         if not decision.suspicion:

@@ -1,10 +1,10 @@
 """Common base of all pages: template engine and shared page parts.
 
-A page is one HTML file that needs no other file, network or script. Pictures and videos are embedded as data
-URIs. Markup is in templates only. Every page extends `report/templates/base.html`, which includes the style
-sheet `page.css`, and imports the macros of `parts.html`. Packages above this one have a folder `templates/`
-of their own. The template engine escapes all inserted text, so that no text of a scenario, a study or a
-detector's name can become markup.
+A page is one HTML file that needs no network or script. Pictures are embedded as data URIs, and so are the
+last frames of videos. Videos lie beside the page. Markup is in templates only. Every page extends
+`report/templates/base.html`, which includes the style sheet `page.css`, and imports the macros of
+`parts.html`. Packages above this one have a folder `templates/` of their own. The template engine
+escapes all inserted text, so that no text of a scenario, a study or a detector's name can become markup.
 """
 
 from base64 import b64encode
@@ -46,7 +46,7 @@ class VideoCard:
 
     Attributes:
         shape: CSS class: `wide` or `phone`.
-        source: the video, as a data URI.
+        source: name of the video, which lies beside the page.
         poster: its last frame, as a data URI.
     """
 
@@ -124,8 +124,8 @@ def data_uri(path: Path, media_type: str) -> str:
 
 
 def video_card(path: Path, shape: str) -> VideoCard:
-    """Return an MP4 file on disk as a page card, with its last frame as the poster."""
+    """Return an MP4 file beside a page as a card of the page, with its last frame as the poster."""
     picture = BytesIO()
     Image.fromarray(read_last_frame(path)).save(picture, "JPEG", quality=POSTER_QUALITY)
     poster = f"data:image/jpeg;base64,{b64encode(picture.getvalue()).decode('ascii')}"
-    return VideoCard(shape, data_uri(path, "video/mp4"), poster)
+    return VideoCard(shape, path.name, poster)

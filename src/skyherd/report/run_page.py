@@ -12,7 +12,7 @@ from skyherd.plots.panels import FigureFile
 from skyherd.report.pages import Tile, figure_card, render_page, video_card
 
 PAGE, VIDEO, PHONE_VIDEO = "report.html", "video.mp4", "video-phone.mp4"
-"""Files in a run's folder: the page, and the videos that are embedded in it."""
+"""Files in a run's folder: the page, and the videos that it shows from beside it."""
 
 PAPER = "https://doi.org/10.1109/TCST.2018.2834308"
 """Address of the paper whose controller the runs use."""

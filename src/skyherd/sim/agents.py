@@ -40,6 +40,7 @@ def make_controller(mission: Mission, unit: int) -> AerialController:
         clock=TeamClock(min_report_delay_s(scenario)) if scenario.clocks_differ else None,
         camera=make_camera_rule(scenario) if scenario.control.camera_check else None,
         lead=make_lead_rule(scenario, unit),
+        asks_turns=scenario.control.tell_apart,
     )
 
 

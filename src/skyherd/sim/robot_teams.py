@@ -209,6 +209,11 @@ class Timing:
     is_synchronous: bool = True
 
 
+RETREAT_SHARE = 0.5
+"""Share of the margin that a robot may use up while it leaves a body. Chosen: the other half remains for the
+motion of the other body."""
+
+
 def make_avoidance_rule(
     model: AvoidanceModel, drive: WheelsModel, wheels: Wheels, *, side_m: float, timing: Timing
 ) -> AvoidanceRule:
@@ -240,4 +245,5 @@ def make_avoidance_rule(
         bearing_error_rad=wheels.max_turn_radps * timing.bearing_s,
         lifetime_s=model.lifetime_s,
         detour=model.detour,
+        retreat_sides=RETREAT_SHARE * model.margin_sides,
     )

@@ -162,9 +162,19 @@ def benchmark(load_benchmark):
 
 
 @pytest.mark.parametrize("world", ["sheets", pytest.param("stranger", marks=pytest.mark.slow)])
-def test_crowd_among_spare_markers_has_no_contact(benchmark, world) -> None:
+def test_crowd_among_spare_markers_has_no_contact(benchmark, monkeypatch, world) -> None:
+    monkeypatch.setitem(benchmark.DURATION_S, "sheets", 40.0)
     row = benchmark.run_world(118, world)
     assert row["contacts"] == 0 and row["min_gap_sides"] > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("apart", [True, False])
+@pytest.mark.parametrize("world", ["sheet", "sheets"])
+def test_crowd_among_copies_forms_if_robots_are_told_apart(benchmark, world, apart) -> None:
+    """Seed 703: without it the robots with copies stand."""
+    row = benchmark.run_world(703, world, apart=apart)
+    assert row["contacts"] == 0 and (row["shape_error"] < 0.02) == apart
 
 
 @pytest.mark.slow
@@ -172,4 +182,4 @@ def test_crowd_without_anonymous_bodies_has_contact(benchmark, monkeypatch) -> N
     """Negative control: units omit ambiguous markers, and robots trust the newest message."""
     monkeypatch.setattr(NeighborMemory, "_keep_contradicted", lambda *_: None)
     monkeypatch.setattr("skyherd.control.aerial_controller.rectified", lambda seen, _: seen.unambiguous())
-    assert benchmark.run_world(118, "sheets")["contacts"] > 0
+    assert benchmark.run_world(118, "sheets", apart=False)["contacts"] > 0

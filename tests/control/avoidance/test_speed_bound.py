@@ -283,7 +283,7 @@ def test_detour_prefers_right_over_slightly_shorter_left() -> None:
 @pytest.mark.parametrize(("unseen_mps", "left_mps"), [(0.1, 0.1), (0.3, 0.3), (0.5, 0.4)])
 def test_unreported_bodies_limit_speed_in_every_direction(unseen_mps, left_mps) -> None:
     none = np.zeros(0)
-    bounds = Bounds(none.astype(np.int64), none, none, none, none.astype(bool), np.array([unseen_mps]))
+    bounds = Bounds(none.astype(np.int64), *[none] * 6, none.astype(bool), np.array([unseen_mps]))
     for sign in (-1, 1):
         v_mps, _ = slowed(np.array([sign * 0.4]), np.zeros(1), bounds=bounds, rule=rule())
         assert v_mps == pytest.approx(sign * left_mps)
@@ -386,7 +386,10 @@ def test_slowed_includes_turn_during_actuation_lag() -> None:
         bearings_rad=np.array([np.pi / 3]),
         speeds_mps=np.array([0.1]),
         slack_rad=np.zeros(1),
-        within=np.zeros(1, dtype=bool),
+        gaps_m=np.ones(1),
+        distances_m=np.ones(1),
+        retreat_mps=np.array([0.1]),
+        is_side=np.zeros(1, dtype=bool),
         unseen_mps=np.array([10.0]),
     )
     slower, _ = slowed(v, np.zeros(1), bounds=bounds, rule=lagging)

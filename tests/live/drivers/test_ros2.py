@@ -10,7 +10,8 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.live.drivers import STILL, Motion
 from skyherd.live.drivers.cdr import twist, twist_stamped
-from skyherd.live.drivers.ros2 import HASHES, Ros2, Topic, attachment, topic_of
+from skyherd.live.drivers.ros2 import HASHES, NEWEST, Ros2, topic_of
+from skyherd.live.ros2.names import Place, attachment
 
 MOTION = Motion(0.125, -0.75, left_mps=0.5, up_mps=-2.0)
 STAMP_NS = 1_700_000_000_987_654_321
@@ -28,14 +29,25 @@ def velocities(message) -> list[float]:
 
 
 def test_key_and_tokens_have_the_parts_of_rmw_zenoh() -> None:
-    topic = topic_of("ros2://host:7447/robot3/cmd_vel?type=TwistStamped&domain=7&node=herder", 3)
-    assert topic.key == f"7/robot3/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/{HASHES['TwistStamped']}"
-    assert topic.node_token("c0ffee") == "@ros2_lv/7/c0ffee/0/0/NN/%/%/herder"
-    assert topic.publisher_token("c0ffee") == (
+    place, topic, frame = topic_of(
+        "ros2://host:7447/robot3/cmd_vel?type=TwistStamped&domain=7&node=herder", 3
+    )
+    assert (
+        topic.key(7) == f"7/robot3/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/{HASHES['TwistStamped']}"
+    )
+    assert place.node_token("c0ffee") == "@ros2_lv/7/c0ffee/0/0/NN/%/%/herder"
+    assert topic.token(place, "c0ffee", 1, "MP", NEWEST) == (
         "@ros2_lv/7/c0ffee/0/1/MP/%/%/herder/%robot3%cmd_vel/"
         f"geometry_msgs::msg::dds_::TwistStamped_/{HASHES['TwistStamped']}/::,1:,:,:,,"
     )
-    assert topic_of("ros2://host", 3) == Topic("cmd_vel", node="skyherd_robot_3")
+    assert (place.domain, frame) == (7, "base_link")
+    place, topic, frame = topic_of("ros2://host", 3)
+    assert (place, topic.name, topic.kind, frame) == (
+        Place("host", node="skyherd_robot_3"),
+        "cmd_vel",
+        "geometry_msgs/msg/Twist",
+        None,
+    )
 
 
 def tokens(robot, count: int) -> set[str]:
@@ -62,16 +74,20 @@ def test_subscriber_receives_twists_and_sees_node() -> None:
     }.items():
         configuration.insert_json5(key, value)
     with zenoh.open(configuration) as robot:
-        heard = robot.declare_subscriber(topic_of("ros2:///robot3/cmd_vel?type=TwistStamped", 3).key)
+        heard = robot.declare_subscriber(topic_of("ros2:///robot3/cmd_vel?type=TwistStamped", 3).topic.key(0))
         link = Ros2(f"ros2://127.0.0.1:{port}/robot3/cmd_vel?type=TwistStamped", 3, now_ns=lambda: STAMP_NS)
         try:
             assert tokens(robot, 2) == {"NN", "MP"}
+            alive = [str(reply.ok.key_expr) for reply in robot.liveliness().get("@ros2_lv/0/*/*/*/MP/**")]
+            hashed = pytest.importorskip("xxhash").xxh3_128_intdigest(alive[0].encode())
+            gid = struct.pack("<QQ", hashed % 2**64, hashed >> 64)
             for motion in (MOTION, STILL):
                 link.write(motion)
             for number, motion in enumerate((MOTION, STILL), start=1):
                 sample = heard.recv()
                 assert bytes(sample.payload) == twist_stamped(motion, STAMP_NS, "base_link")
                 assert struct.unpack("<qqB", bytes(sample.attachment)[:17]) == (number, STAMP_NS, 16)
+                assert bytes(sample.attachment)[17:] == gid
         finally:
             link.close()
         assert tokens(robot, 0) == set()
@@ -79,7 +95,7 @@ def test_subscriber_receives_twists_and_sees_node() -> None:
 
 def test_absent_router_is_one_clear_line(monkeypatch) -> None:
     pytest.importorskip("zenoh")
-    monkeypatch.setattr("skyherd.live.drivers.ros2.CONNECT_MS", 200)
+    monkeypatch.setattr("skyherd.live.ros2.session.CONNECT_MS", 200)
     with pytest.raises(InputError, match="no router of Zenoh"):
         Ros2("ros2://127.0.0.1:1/cmd_vel", 0)
 

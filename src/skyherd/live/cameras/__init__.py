@@ -4,7 +4,7 @@ Start with `open_camera`. docs/live/cameras.md has the addresses.
 """
 
 from skyherd.live.cameras.addresses import Pace, check_camera, open_camera
-from skyherd.live.cameras.frame import Frame, Picture, Source
+from skyherd.live.cameras.frame import Frame, Origin, Picture, Source
 from skyherd.live.cameras.mirrored import MirrorWatch
 from skyherd.live.cameras.reader import CameraReader
 
@@ -12,6 +12,7 @@ __all__ = [
     "CameraReader",
     "Frame",
     "MirrorWatch",
+    "Origin",
     "Pace",
     "Picture",
     "Source",

@@ -12,6 +12,7 @@ from skyherd.live.cameras.frame import Clock, Source
 from skyherd.live.cameras.plugins import PluginCamera
 from skyherd.live.cameras.reader import CameraReader
 from skyherd.live.cameras.recordings import ImageFolder, VideoFile
+from skyherd.live.cameras.ros2 import Ros2Camera
 from skyherd.live.cameras.streams import device_of, stream_of
 
 Pace = Literal["own", "fast"]
@@ -20,17 +21,20 @@ Pace = Literal["own", "fast"]
 PLUGIN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*(=.*)?", re.DOTALL)
 """`module:factory`, optionally with `=TEXT`."""
 
-ALLOWED = "/dev/video0, rtsp://…, http://…, udp://…, tcp://…, a video, a folder of pictures, module:factory"
+ALLOWED = "/dev/video0, rtsp://…, http://…, udp://…, tcp://…, ros2://…, a video, a folder, module:factory"
 """Allowed addresses, for error messages."""
 
 
-def open_camera(address: str, *, pace: Pace = "own", clock: Clock = time.monotonic) -> CameraReader:
+def open_camera(
+    address: str, *, pace: Pace = "own", clock: Clock = time.monotonic, kept: int = 1
+) -> CameraReader:
     """Open a camera and read it in a separate thread. The caller closes the returned reader.
 
     | address | source |
     |---|---|
     | `0`, `/dev/video0`, `/dev/video0?size=1280x720&rate=30&format=mjpeg` | a V4L2 device |
     | `rtsp://…`, `http://…`, `https://…`, `udp://…`, `tcp://…` | a stream |
+    | `ros2://host/camera/image_raw`, `ros2://…?type=CompressedImage` | a topic of ROS 2 over Zenoh |
     | a file | a video |
     | a folder | new pictures as they appear; with the pace `fast` the existing ones |
     | `module:factory`, `module:factory=TEXT` | a custom source |
@@ -41,6 +45,7 @@ def open_camera(address: str, *, pace: Pace = "own", clock: Clock = time.monoton
             due time. With `fast`, each picture waits until the user has taken the previous one, and none is
             dropped; `captured_s` is the recording's time since opening, which may be ahead of the clock.
         clock: returns the time of all stamps, s.
+        kept: number of pictures that wait until they are taken; 1 keeps the newest.
 
     Raises:
         InputError: the camera cannot be opened, or did not open in time
@@ -48,7 +53,7 @@ def open_camera(address: str, *, pace: Pace = "own", clock: Clock = time.monoton
     """
     if pace not in ("own", "fast"):
         raise InputError("pace", repr(pace), "own or fast")
-    return CameraReader(_source_of(address, pace), clock=clock).start()
+    return CameraReader(_source_of(address, pace), clock=clock, kept=kept).start()
 
 
 def check_camera(address: str) -> None:
@@ -69,6 +74,8 @@ def _source_of(address: str, pace: Pace) -> Source:
     """
     if address.isdecimal():
         address = f"/dev/video{address}"
+    if address.startswith("ros2://"):
+        return Ros2Camera(address)
     if "://" in address:
         return stream_of(address)
     if address.startswith("/dev/"):

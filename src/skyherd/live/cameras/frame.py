@@ -15,6 +15,19 @@ StampedBy = Literal["stream", "arrival"]
 
 
 @dataclass(frozen=True)
+class Origin:
+    """Header of an image message of ROS.
+
+    Attributes:
+        stamp_ns: its time since 1970, ns, by the sender's clock; 0 without one.
+        frame: name of the camera's coordinate frame.
+    """
+
+    stamp_ns: int
+    frame: str
+
+
+@dataclass(frozen=True)
 class Frame:
     """A picture of a camera, with its times on the reader's clock.
 
@@ -25,6 +38,7 @@ class Frame:
         number: number of pictures received before it. Gaps between two frames are dropped pictures.
         stamped_by: `stream` if `captured_s` follows the clock of the stream and excludes variable latency;
             `arrival` if there is no such clock, and `captured_s` equals `arrived_s`.
+        origin: header of its message; None for a source other than ROS.
     """
 
     image: Grey
@@ -32,6 +46,7 @@ class Frame:
     arrived_s: float
     number: int
     stamped_by: StampedBy
+    origin: Origin | None = None
 
 
 @dataclass(frozen=True)
@@ -42,11 +57,13 @@ class Picture:
         image: grey levels (height, width).
         stream_s: its time on the stream's own clock, with an unknown origin; None without such a clock.
         age_s: time since capture, if the source knows it exactly; else None.
+        origin: header of its message, from ROS.
     """
 
     image: Grey
     stream_s: float | None = None
     age_s: float | None = None
+    origin: Origin | None = None
 
 
 class Source(Protocol):

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -50,4 +51,4 @@ class PluginCamera:
         image = np.array(picture.image)
         if image.ndim != 2 or image.dtype != np.uint8 or not image.size:
             raise InputError(f"camera {self.name}", f"yields array {image.shape} of {image.dtype}", ALLOWED)
-        return Picture(image, picture.stream_s, picture.age_s)
+        return replace(picture, image=image)

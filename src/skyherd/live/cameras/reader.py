@@ -1,8 +1,9 @@
-"""Reader thread of a camera, which keeps only the newest picture."""
+"""Reader thread of a camera, which keeps only the newest picture, or a few."""
 
 import logging
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from types import TracebackType
 from typing import Self
@@ -29,6 +30,9 @@ FIRST_WAIT_S, MAX_WAIT_S = 0.25, 8.0
 """First and longest pause before a broken stream is reopened, s; each pause doubles. *Chosen*: a short outage
 costs little time, and a server that is down gets few requests."""
 
+MIN_STEP_S = 1e-6
+"""Shortest interval between two pictures of a reader that keeps several, s. *Chosen*: above zero."""
+
 CLOSE_S = 1.0
 """Longest wait of `close` for the thread, s. *Chosen*: a thread that hangs in a driver ends with the
 process."""
@@ -36,6 +40,9 @@ process."""
 
 class CameraReader:
     """Reader of a source in a separate thread. It returns the newest picture, each at most once.
+
+    With `kept` above 1 it returns the oldest of as many newest pictures instead, so that a short pause of its
+    user loses none. It then also gives pictures whose time is still uncertain, in the order of the stream.
 
     ```python
     with open_camera("rtsp://camera/stream") as camera:
@@ -50,6 +57,7 @@ class CameraReader:
         source: source of the pictures.
         clock: returns the time of all stamps, s.
         pause: waits for a number of seconds and returns whether the reader was closed; a real wait if None.
+        kept: number of pictures that wait until they are taken.
 
     Attributes:
         received: number of received pictures.
@@ -59,14 +67,20 @@ class CameraReader:
     """
 
     def __init__(
-        self, source: Source, *, clock: Clock = time.monotonic, pause: Callable[[float], bool] | None = None
+        self,
+        source: Source,
+        *,
+        clock: Clock = time.monotonic,
+        pause: Callable[[float], bool] | None = None,
+        kept: int = 1,
     ) -> None:
         self.received = self.dropped = self.reconnects = 0
         self.name = source.name
         self._source, self._clock = source, clock
         self._closing, self._opened = threading.Event(), threading.Event()
         self._pause = self._closing.wait if pause is None else pause
-        self._fresh: Frame | None = None
+        self._fresh: deque[Frame] = deque(maxlen=kept)
+        self._kept, self._stream_s = kept, float("-inf")
         self._arrival = threading.Condition()
         self._over = False
         self._sight = Sight()
@@ -97,18 +111,26 @@ class CameraReader:
         return self
 
     def newest(self, timeout_s: float) -> Frame | None:
-        """Return the newest picture, each once, or None if none comes within `timeout_s` of real time."""
+        """Return the newest picture, each once, or None if none comes within `timeout_s` of real time.
+
+        With `kept` above 1 it is the oldest of those that wait.
+        """
         with self._arrival:
-            self._arrival.wait_for(lambda: self._fresh is not None or self._over, timeout_s)
-            frame, self._fresh = self._fresh, None
+            self._arrival.wait_for(lambda: bool(self._fresh) or self._over, timeout_s)
+            frame = self._fresh.popleft() if self._fresh else None
             self._arrival.notify_all()
         return frame
+
+    @property
+    def waiting(self) -> int:
+        """Number of pictures that can be taken at once."""
+        return len(self._fresh)
 
     @property
     def ended(self) -> bool:
         """True if no more pictures will come: a recording has ended, or the reader is closed."""
         with self._arrival:
-            return self._over and self._fresh is None
+            return self._over and not self._fresh
 
     @property
     def trouble(self) -> str | None:
@@ -144,7 +166,7 @@ class CameraReader:
         self._closing.set()
         with self._arrival:
             self._over = True
-            self._fresh = None
+            self._fresh.clear()
             self._arrival.notify_all()
         if self._thread.ident is not None and self._thread is not threading.current_thread():
             self._thread.join(CLOSE_S)
@@ -191,6 +213,7 @@ class CameraReader:
                     self.reconnects += self._opened.is_set()
                     self._since_s = self._clock()
                     self._old_since_s = None
+                    self._stream_s = float("-inf")
                 self._opened.set()
                 for picture in pictures:
                     if self._closing.is_set():
@@ -222,7 +245,7 @@ class CameraReader:
                     return True
         else:
             with self._arrival:
-                self._arrival.wait_for(lambda: self._fresh is None or self._over)
+                self._arrival.wait_for(lambda: not self._fresh or self._over)
         self._give(picture, due_s, self._clock(), "stream")
         return True
 
@@ -235,6 +258,11 @@ class CameraReader:
         elif picture.stream_s is not None:
             captured_s, by = stamps.captured_s(picture.stream_s, arrived_s), "stream"
             settled = stamps.settled
+        if self._kept > 1 and picture.stream_s is not None:
+            settled = True
+            if picture.stream_s > self._stream_s:
+                captured_s = max(captured_s, self._newest_s + MIN_STEP_S)
+                self._stream_s = picture.stream_s
         with self._arrival:
             if not settled:
                 self.received += 1
@@ -254,14 +282,14 @@ class CameraReader:
         """Make a picture the newest."""
         image = picture.image
         image.setflags(write=False)
-        frame = Frame(image, captured_s, arrived_s, self.received, by)
+        frame = Frame(image, captured_s, arrived_s, self.received, by, picture.origin)
         self._sight.look(image, arrived_s)
         with self._arrival:
             self.received += 1
-            self.dropped += self._fresh is not None
+            self.dropped += len(self._fresh) == self._fresh.maxlen
             self._lag_s = arrived_s - captured_s
             self._newest_s, self._last_s = captured_s, arrived_s
             self._broken, self._tries = None, 0
             if not self._over:
-                self._fresh = frame
+                self._fresh.append(frame)
             self._arrival.notify_all()

@@ -69,8 +69,8 @@ class LabCamera(Model):
     """One aerial unit: a camera that looks down on the robots, and its computer."""
 
     address: Text = Field(
-        description="/dev/video0, rtsp://…, http://…, tcp://…, udp://…, a video file, a folder of images, or "
-        "module:factory"
+        description="/dev/video0, rtsp://…, http://…, tcp://…, udp://…, ros2://…, a video file, a "
+        "folder of images, or module:factory"
     )
     detector: str = Field("tracking", description="one of `skyherd detect --help`")
     flight: FlightModel | None = Field(None, description="law of flight; left out for a fixed camera")

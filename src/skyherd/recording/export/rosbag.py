@@ -18,7 +18,7 @@ frame `unit_J` are those of a camera in ROS: x right, y down, z forward (REP 103
 """
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
@@ -26,11 +26,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from skyherd.files.atomic import part_folder
-from skyherd.geometry import Array
 from skyherd.jobs.progress import Progress
-from skyherd.messages import Detection, Detections, FlightCommand
+from skyherd.messages import FlightCommand
 from skyherd.plugins import import_extra
 from skyherd.recording.export.recorded_run import Commanded, Moment, RecordedRun, Seen, Truth
+from skyherd.recording.ros_messages import RosMessages
 from skyherd.render import rotation_camera_world
 
 BAG, METADATA = "bag.mcap", "metadata.yaml"
@@ -38,28 +38,6 @@ BAG, METADATA = "bag.mcap", "metadata.yaml"
 
 VERSION: Literal[9] = 9
 """Version of the metadata. Defined by ROS 2 Jazzy."""
-
-VISION_MSGS = {
-    "Point2D": "float64 x\nfloat64 y\n",
-    "Pose2D": "vision_msgs/Point2D position\nfloat64 theta\n",
-    "BoundingBox2D": "vision_msgs/Pose2D center\nfloat64 size_x\nfloat64 size_y\n",
-    "ObjectHypothesis": "string class_id\nfloat64 score\n",
-    "ObjectHypothesisWithPose": (
-        "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n"
-    ),
-    "Detection2D": (
-        "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
-        "vision_msgs/BoundingBox2D bbox\nstring id\n"
-    ),
-    "Detection2DArray": "std_msgs/Header header\nvision_msgs/Detection2D[] detections\n",
-}
-"""Definitions of vision_msgs 4, which `rosbags` lacks."""
-
-SCORE = 1.0
-"""Score of a detection. Chosen: the detector accepts a marker or does not."""
-
-POSE_AXES = np.ix_((0, 1, 5), (0, 1, 5))
-"""Places of x, y and the rotation about z in the covariance of a pose. Defined by geometry_msgs."""
 
 WORLD = "map"
 """Frame of the true poses. Defined by REP 105."""
@@ -118,25 +96,20 @@ Message = tuple[str, str, Any]
 """Topic, type and content of a message."""
 
 
-class _Messages:
-    """Maker of the messages of a run.
-
-    Attributes:
-        store: the known message types.
-    """
+class _Messages(RosMessages):
+    """Maker of the messages of a run."""
 
     def __init__(self, run: RecordedRun) -> None:
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-        self.store = get_typestore(Stores.ROS2_JAZZY)
-        for name, text in VISION_MSGS.items():
-            self.store.register(get_types_from_msg(text, f"vision_msgs/msg/{name}"))
+        super().__init__("--format rosbag2")
         self._run = run
         self._states: dict[int, str] = {}
 
     def nanoseconds(self, time_s: float) -> int:
         """Return a time since the start of the run as ns since 1970."""
         return max(0, round(self._run.start_unix_s * 1e9) + round(time_s * 1e9))
+
+    def _header_at(self, time_s: float, frame: str) -> Any:
+        return self.header(self.nanoseconds(time_s), frame)
 
     def of(self, moment: Moment) -> Iterator[Message]:
         """Yield the messages of a record."""
@@ -147,45 +120,22 @@ class _Messages:
         else:
             yield self._of_truth(moment)
 
-    def _make(self, kind: str) -> Callable[..., Any]:
-        package, name = kind.split("/")
-        return self.store.types[f"{package}/msg/{name}"]
-
-    def _header(self, time_s: float, frame: str) -> Any:
-        seconds, nanoseconds = divmod(self.nanoseconds(time_s), 10**9)
-        stamp = self._make("builtin_interfaces/Time")(sec=seconds, nanosec=nanoseconds)
-        return self._make("std_msgs/Header")(stamp=stamp, frame_id=frame)
-
-    def _vector(self, values: Array | tuple[float, float, float]) -> Any:
-        x, y, z = map(float, values)
-        return self._make("geometry_msgs/Vector3")(x=x, y=y, z=z)
-
-    def _quaternion(self, rotation: Rotation) -> Any:
-        x, y, z, w = rotation.as_quat().tolist()
-        return self._make("geometry_msgs/Quaternion")(x=x, y=y, z=z, w=w)
-
-    def _twist(self, header: Any, linear: tuple[float, float, float], turn_radps: float) -> Any:
-        twist = self._make("geometry_msgs/Twist")(
-            linear=self._vector(linear), angular=self._vector((0.0, 0.0, turn_radps))
-        )
-        return self._make("geometry_msgs/TwistStamped")(header=header, twist=twist)
-
     def _of_image(self, seen: Seen) -> Iterator[Message]:
         unit = f"unit_{seen.detections.unit_id}"
-        header = self._header(seen.time_s, unit)
+        header = self._header_at(seen.time_s, unit)
         yield (
             f"/{unit}/detections",
             "vision_msgs/msg/Detection2DArray",
-            self._detections(header, seen.detections),
+            self.detections(header, seen.detections),
         )
         if seen.jpeg is not None:
-            picture = self._make("sensor_msgs/CompressedImage")(
+            picture = self.make("sensor_msgs/CompressedImage")(
                 header=header, format="mono8; jpeg compressed", data=np.frombuffer(seen.jpeg, np.uint8)
             )
             yield f"/{unit}/image/compressed", "sensor_msgs/msg/CompressedImage", picture
         if seen.report is not None:
-            layout = self._make("std_msgs/MultiArrayLayout")(dim=[], data_offset=0)
-            ids = self._make("std_msgs/Int64MultiArray")(layout=layout, data=seen.report.controlled_ids)
+            layout = self.make("std_msgs/MultiArrayLayout")(dim=[], data_offset=0)
+            ids = self.make("std_msgs/Int64MultiArray")(layout=layout, data=seen.report.controlled_ids)
             yield f"/{unit}/controlled", "std_msgs/msg/Int64MultiArray", ids
         if seen.goals is not None:
             goals = seen.goals
@@ -194,9 +144,9 @@ class _Messages:
                 [np.cos(goals.bearings_rad), np.sin(goals.bearings_rad)], axis=1
             )
             for robot, (x_m, y_m) in zip(goals.ids.tolist(), points_m.tolist(), strict=True):
-                point = self._make("geometry_msgs/Point")(x=x_m, y=y_m, z=0.0)
-                goal = self._make("geometry_msgs/PointStamped")(
-                    header=self._header(seen.time_s, f"robot_{robot}"), point=point
+                point = self.make("geometry_msgs/Point")(x=x_m, y=y_m, z=0.0)
+                goal = self.make("geometry_msgs/PointStamped")(
+                    header=self._header_at(seen.time_s, f"robot_{robot}"), point=point
                 )
                 yield f"/{unit}/robot_{robot}/goal", "geometry_msgs/msg/PointStamped", goal
         if seen.flight is not None:
@@ -205,33 +155,7 @@ class _Messages:
     def _flight(self, header: Any, flight: FlightCommand) -> Any:
         """Return a flight command in the camera's axes, of which z points down."""
         u_mps, v_mps = flight.lateral_mps.tolist()
-        return self._twist(header, (u_mps, v_mps, -flight.climb_mps), -flight.yaw_rate_radps)
-
-    def _detections(self, header: Any, found: Detections) -> Any:
-        entries = [self._detection(header, marker) for marker in found]
-        return self._make("vision_msgs/Detection2DArray")(header=header, detections=entries)
-
-    def _detection(self, header: Any, marker: Detection) -> Any:
-        u_px, v_px = marker.center_px.tolist()
-        covariance = np.zeros((6, 6))
-        covariance[POSE_AXES] = marker.covariance
-        pose = self._make("geometry_msgs/Pose")(
-            position=self._make("geometry_msgs/Point")(x=u_px, y=v_px, z=0.0),
-            orientation=self._quaternion(Rotation.from_euler("z", marker.heading_rad)),
-        )
-        hypothesis = self._make("vision_msgs/ObjectHypothesisWithPose")(
-            hypothesis=self._make("vision_msgs/ObjectHypothesis")(class_id=str(marker.id), score=SCORE),
-            pose=self._make("geometry_msgs/PoseWithCovariance")(pose=pose, covariance=covariance.ravel()),
-        )
-        center = self._make("vision_msgs/Pose2D")(
-            position=self._make("vision_msgs/Point2D")(x=u_px, y=v_px), theta=marker.heading_rad
-        )
-        box = self._make("vision_msgs/BoundingBox2D")(
-            center=center, size_x=marker.side_px, size_y=marker.side_px
-        )
-        return self._make("vision_msgs/Detection2D")(
-            header=header, results=[hypothesis], bbox=box, id=str(marker.id)
-        )
+        return self.twist(header, (u_mps, v_mps, -flight.climb_mps), -flight.yaw_rate_radps)
 
     def _of_command(self, command: Commanded) -> Iterator[Message]:
         rows = zip(
@@ -242,21 +166,21 @@ class _Messages:
             strict=True,
         )
         for robot, v_mps, omega_radps, state in rows:
-            header = self._header(command.time_s, f"robot_{robot}")
-            twist = self._twist(header, (v_mps, 0.0, 0.0), omega_radps)
+            header = self._header_at(command.time_s, f"robot_{robot}")
+            twist = self.twist(header, (v_mps, 0.0, 0.0), omega_radps)
             yield f"/robot_{robot}/cmd_vel", "geometry_msgs/msg/TwistStamped", twist
             if self._states.get(robot) != state:
                 self._states[robot] = state
                 yield (
                     f"/robot_{robot}/state",
                     "std_msgs/msg/String",
-                    self._make("std_msgs/String")(data=state),
+                    self.make("std_msgs/String")(data=state),
                 )
 
     def _of_truth(self, truth: Truth) -> Message:
-        header = self._header(truth.time_s, WORLD)
+        header = self._header_at(truth.time_s, WORLD)
         transforms = [
-            self._transform(header, f"robot_{robot}", (x_m, y_m, 0.0), Rotation.from_euler("z", heading_rad))
+            self.transform(header, f"robot_{robot}", (x_m, y_m, 0.0), Rotation.from_euler("z", heading_rad))
             for robot, (x_m, y_m), heading_rad in zip(
                 truth.ids.tolist(), truth.positions_m.tolist(), truth.headings_rad.tolist(), strict=True
             )
@@ -265,15 +189,5 @@ class _Messages:
             pose = truth.fleet.pose(unit)
             attitude = Rotation.from_matrix(rotation_camera_world(pose).T)
             place_m = (*pose.position_m, pose.height_m)
-            transforms.append(self._transform(header, f"unit_{unit}", place_m, attitude))
-        return "/tf", "tf2_msgs/msg/TFMessage", self._make("tf2_msgs/TFMessage")(transforms=transforms)
-
-    def _transform(
-        self, header: Any, child: str, place_m: tuple[float, float, float], rotation: Rotation
-    ) -> Any:
-        transform = self._make("geometry_msgs/Transform")(
-            translation=self._vector(place_m), rotation=self._quaternion(rotation)
-        )
-        return self._make("geometry_msgs/TransformStamped")(
-            header=header, child_frame_id=child, transform=transform
-        )
+            transforms.append(self.transform(header, f"unit_{unit}", place_m, attitude))
+        return "/tf", "tf2_msgs/msg/TFMessage", self.make("tf2_msgs/TFMessage")(transforms=transforms)

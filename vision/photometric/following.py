@@ -1,7 +1,7 @@
 """Markers followed from one image of a camera to the next: fitted where they are predicted.
 
-A followed marker is fitted where its own last steps lead, then where the common motion of the others takes
-it, and at last searched for near these places (`skyherd.vision.photometric.tracks`).
+A followed marker is fitted where its own last steps lead (`first_fit`), then where the common motion of the
+others takes it, and at last searched for near these places (`skyherd.vision.photometric.tracks`).
 """
 
 from dataclasses import dataclass, replace

@@ -3,6 +3,7 @@
 from collections.abc import Generator, Iterable, Mapping
 from copy import deepcopy
 from dataclasses import replace
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -142,6 +143,7 @@ class FormationEnv(ParallelEnv[str, Any, npt.NDArray[Any]]):  # type: ignore[mis
         self._known: Knowledge
         self._formed_s: float | None
         self._seed: int
+        self._began_s = self._wall_s = 0.0
 
     def observation_space(self, agent: str) -> Space[Any]:
         """Return the observation space of an agent, always the same object."""
@@ -174,7 +176,7 @@ class FormationEnv(ParallelEnv[str, Any, npt.NDArray[Any]]):  # type: ignore[mis
         self._check_spaces(mission)
         self.close()
         self._seed, self._next_seed = self._next_seed, int(self._seeds.integers(SEEDS))
-        self._mission, self._formed_s = mission, None
+        self._mission, self._formed_s, self._began_s = mission, None, perf_counter()
         self._actor = ACTORS[self._kind](mission, scaled=self._scaled)
         self._cast = Cast.of(mission)
         self._picture = make_picture(mission, self._view) if self.render_mode else None
@@ -211,7 +213,7 @@ class FormationEnv(ParallelEnv[str, Any, npt.NDArray[Any]]):  # type: ignore[mis
         truncated = self._step.time_s >= self._last_s - TIME_TOLERANCE_S
         observations, infos = self._observations(), self._infos()
         if terminated or truncated:
-            self.agents = []
+            self.agents, self._wall_s = [], perf_counter() - self._began_s
         return (
             observations,
             dict(zip(acted, rewards.tolist(), strict=True)),
@@ -256,7 +258,7 @@ class FormationEnv(ParallelEnv[str, Any, npt.NDArray[Any]]):  # type: ignore[mis
         return self._picture.image
 
     def summary(self) -> dict[str, Any]:
-        """Return the summary of the episode so far, with the keys of `summary.json`.
+        """Return the summary of the episode, with the keys of `summary.json`; before its end, of the part so far.
 
         Raises:
             InputError: there is no episode, or the environment keeps no steps.
@@ -264,7 +266,7 @@ class FormationEnv(ParallelEnv[str, Any, npt.NDArray[Any]]):  # type: ignore[mis
         self._present("summary")
         if self._kept is None:
             raise InputError("FormationEnv.summary", "no steps are kept", "keep_steps=True")
-        return summarize(make_history(self._mission, self._kept), None)
+        return summarize(make_history(self._mission, self._kept), None if self.agents else self._wall_s)
 
     def close(self) -> None:
         """End the episode and release its world."""

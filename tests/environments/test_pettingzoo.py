@@ -127,7 +127,8 @@ def test_agents_are_terminated_once_the_shape_is_held():
 
 def test_skyherd_works_without_pettingzoo():
     code = (
-        "import sys, skyherd; skyherd.run_steps; print('pettingzoo' in sys.modules, 'gymnasium' in sys.modules)\n"
+        "import sys, skyherd; skyherd.run_steps\n"
+        "print('pettingzoo' in sys.modules, 'gymnasium' in sys.modules)\n"
         "sys.modules['pettingzoo'] = None\n"
         "from importlib import util; find = util.find_spec\n"
         "util.find_spec = lambda name: None if name == 'pettingzoo' else find(name)\n"

@@ -53,11 +53,17 @@ def truth(mission):
             [x, y, np.cos(h), np.sin(h)]
             for (x, y), h in zip(step.positions_m, step.headings_rad, strict=True)
         ]
-        units = [
-            [*fleet.positions_m[j], fleet.heights_m[j], np.cos(fleet.yaws_rad[j]), np.sin(fleet.yaws_rad[j])]
-            + [*fleet.tilts_rad[j], fleet.zooms[j]]
-            for j in range(fleet.heights_m.size)
-        ]
+        yaws_rad = fleet.yaws_rad
+        units = np.column_stack(
+            [
+                fleet.positions_m,
+                fleet.heights_m,
+                np.cos(yaws_rad),
+                np.sin(yaws_rad),
+                fleet.tilts_rad,
+                fleet.zooms,
+            ]
+        )
         share = step.time_s / mission.scenario.duration_s
         rows.append([share, *np.ravel(robots), *np.ravel(units)])
     return np.array(rows, np.float32), steps

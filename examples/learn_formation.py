@@ -18,7 +18,7 @@ STUDY = load_study("methods").spec
 TASKS = {task.name: task.set for task in STUDY.tasks}
 OURS = {**STUDY.set, **STUDY.sweeps[0].set}
 START = np.array([np.log(0.8), np.log(0.8), -4.0, 0.0, 0.0, -4.0, 0.0])
-"""Logarithms of the gains of v and ω, as in the study; then hardly any repulsion and no caution."""
+"""Logarithms of the gains of v and ω, as in the study; then nearly no repulsion and no caution."""
 
 
 def act(theta: np.ndarray, seen: np.ndarray) -> np.ndarray:

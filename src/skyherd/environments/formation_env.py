@@ -258,7 +258,7 @@ class FormationEnv(ParallelEnv[str, Any, npt.NDArray[Any]]):  # type: ignore[mis
         return self._picture.image
 
     def summary(self) -> dict[str, Any]:
-        """Return the summary of the episode, with the keys of `summary.json`; before its end, of the part so far.
+        """Return the summary of the episode so far, with the keys of `summary.json`.
 
         Raises:
             InputError: there is no episode, or the environment keeps no steps.

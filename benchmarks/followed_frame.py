@@ -5,10 +5,10 @@
 
 All detectors get the same frames one after the other on one thread. Times are medians of wall time over the
 frames. *Followed* is `tracking` in frames in which it searches nothing, *searched* is
-`photometric`. *Compiled* is the time of compiled functions in a followed frame: the fit, the evidence of
-streaks and the noise of the image. *Looks* is the time of the search for squares in a searched frame. Both
-bound the speed of the same measurements: OpenCV's time over them is the largest ratio that work on the rest
-can reach.
+`photometric`. *Compiled* is the time of compiled functions in a followed frame: the following as a whole, and
+where it ends early also later fits, the evidence of streaks and the noise of the image. *Looks* is the time
+of the search for squares in a searched frame. Both bound the speed of the same measurements: OpenCV's time
+over them is the largest ratio that work on the rest can reach.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.native.library import Library
 from skyherd.vision.photometric import detector as stages
 
-COMPILED = ("fit_markers", "streak_evidence", "second_differences")
+COMPILED = ("follow_markers", "fit_markers", "streak_evidence", "second_differences")
 """Functions of the compiled library that a followed frame calls."""
 
 STAGES: Stages = {

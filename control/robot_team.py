@@ -67,20 +67,36 @@ class GoalFollowers(RobotTeam):
         for delivery in delivered:
             if self.clocks is not None:
                 self.clocks.hear(delivery, self.inboxes.ids, time_s)
-        lead_s = np.zeros(self.inboxes.ids.size) if self.clocks is None else self.clocks.lead_s(time_s)
+        lead_s = self.lead_s(time_s)
         for delivery in delivered:
             if isinstance(delivery.message, MotionGoals):
                 self.inboxes.receive(delivery.message, time_s, delivery.received)
             elif self.neighbors is not None:
                 self.neighbors.receive(delivery.message, delivery.received, lead_s)
         commanded = self.inboxes.ids[self.inboxes.fresh(time_s).any(axis=0)]
-        inboxes = self.inboxes
-        if self.latency_compensation is not None:
-            inboxes = self.latency_compensation.compensate(inboxes, time_s, lead_s)
-        command = self._command(inboxes, time_s, lead_s)
+        command = self._command(self.present_inboxes(time_s), time_s, lead_s)
+        self.record(command, time_s)
+        return TeamOrders(command, np.asarray(commanded))
+
+    def lead_s(self, time_s: float) -> Array:
+        """Return the team's time, as each robot (N,) estimates it, minus `time_s`; 0 if all clocks agree."""
+        return np.zeros(self.inboxes.ids.size) if self.clocks is None else self.clocks.lead_s(time_s)
+
+    def present_inboxes(self, time_s: float) -> GoalInboxes:
+        """Return the goals in the robots' frames at `time_s`, the time of the last decision."""
+        if self.latency_compensation is None:
+            return self.inboxes
+        return self.latency_compensation.compensate(self.inboxes, time_s, self.lead_s(time_s))
+
+    def record(self, command: VelocityCommand, time_s: float) -> None:
+        """Record the command that the wheels obey from the decision at `time_s` on.
+
+        `decide` records its own. If the wheels obey another one, a further call at this time replaces it.
+        """
         if self.latency_compensation is not None:
             self.latency_compensation.record(command, time_s)
-        return TeamOrders(command, np.asarray(commanded))
+        if self.neighbors is not None and self.avoidance is not None:
+            self.neighbors.record_rotation(command.omega_radps, time_s, self.avoidance.step_s)
 
     def _command(self, inboxes: GoalInboxes, time_s: float, lead_s: Array) -> VelocityCommand:
         if self.neighbors is None or self.avoidance is None:
@@ -94,5 +110,4 @@ class GoalFollowers(RobotTeam):
             time_s=time_s + lead_s,
             driven=np.asarray(inboxes.fresh(time_s).any(axis=0)),
         )
-        self.neighbors.record_rotation(omega_radps, time_s, self.avoidance.step_s)
         return VelocityCommand(inboxes.ids, v_mps, omega_radps)

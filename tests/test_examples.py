@@ -44,3 +44,30 @@ def test_recorded_video_example_gives_goals_of_the_run(tmp_path):
     assert decision.goals.ids.tolist() == sent.decision.goals.ids.tolist()
     # The codec moves an edge by some tenths of a pixel.
     np.testing.assert_allclose(decision.goals.rho_px, sent.decision.goals.rho_px, atol=1.0)
+
+
+def test_evolution_strategy_finds_maximum_of_rotated_ellipsoid():
+    """Seven parameters, axes with scales of 1 to 10. A random search of as many trials stays far away."""
+    example, best = load("learn_formation"), np.linspace(-1, 1, 7)
+    axes = np.linalg.qr(np.random.default_rng(1).standard_normal((7, 7)))[0] * np.linspace(1, 10, 7)
+
+    def score(theta, generation):
+        return -float(((theta - best) @ axes) @ ((theta - best) @ axes))
+
+    found = list(example.evolve(score, np.zeros(7), 150, seed=2))
+    np.testing.assert_allclose(found[-1], best, atol=1e-3)
+    again = list(example.evolve(score, np.zeros(7), 150, seed=2))
+    np.testing.assert_array_equal(found, again)
+    tried = np.random.default_rng(3).uniform(-1, 1, (150 * 9, 7))
+    assert max(score(theta, 0) for theta in tried) < -0.1
+
+
+def test_policy_before_learning_forms_the_shape_like_the_law():
+    """Its gains are those of the law, and its repulsion is near 0."""
+    example = load("learn_formation")
+    env = example.make_env("anywhere", 10.0, {"avoidance.on": False})
+    scores = [
+        example.episode(env, 1, policy) for policy in (example.built_in, example.learned(example.START))
+    ]
+    still = example.episode(env, 1, lambda seen, infos: {agent: np.zeros(2) for agent in seen})
+    assert scores[1] > still + 0.8 * (scores[0] - still)

@@ -210,10 +210,12 @@ class NeighborMemory:
     def record_rotation(self, omega_radps: Array, time_s: float, step_s: float) -> None:
         """Record the turn rates (N,), rad/s, commanded from `time_s` on for `step_s`.
 
-        With `latency_compensation` it does nothing.
+        A second call at one time replaces the first. With `latency_compensation` it does nothing.
         """
         if self._latency_compensation is not None:
             return
+        if self._rotations and self._rotations[-1][0] == time_s:
+            self._rotation_rad = self._rotations.pop()[1]
         self._rotations.append((time_s, self._rotation_rad))
         while self._rotations[0][0] < time_s - self.lifetime_s:
             self._rotations.popleft()

@@ -69,7 +69,10 @@ class LatencyCompensation:
         )
 
     def record(self, command: VelocityCommand, time_s: float) -> None:
-        """Record the wheel commands from `time_s` on; called in the order of time."""
+        """Record the wheel commands from `time_s` on; called in the order of time.
+
+        Of two commands at one time the later one counts.
+        """
         places_m, headings_rad = self._pose_after(len(self._knots) - 1, np.asarray(time_s))
         self._knots.append((time_s, places_m, headings_rad, command.v_mps, command.omega_radps))
         while len(self._knots) > 2 and self._knots[1][0] <= time_s - self.memory_s - self.delay_s:

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from skyherd.bodies import Bodies
 from skyherd.control import Schedule, Template
+from skyherd.datasets.configuration.bodies import Bodies
 from skyherd.datasets.configuration.camera_models import CameraModel
 from skyherd.datasets.configuration.file_kinds import SCENARIO, read_source, source_text
 from skyherd.datasets.configuration.intervention_models import (

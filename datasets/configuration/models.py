@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, Field, FiniteFloat, model_validator
 
-from skyherd.bodies import Bodies
+from skyherd.datasets.configuration.bodies import Bodies
 from skyherd.datasets.configuration.body_models import AvoidanceModel, RolesModel, SizeModel
 from skyherd.datasets.configuration.fields import (
     MAX_ROBOTS,

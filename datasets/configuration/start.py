@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from skyherd.bodies import Bodies
 from skyherd.control import Template
+from skyherd.datasets.configuration.bodies import Bodies
 from skyherd.datasets.configuration.models import Scenario
 from skyherd.datasets.configuration.robot_models import RobotsModel, ScatterModel
 from skyherd.errors import InputError

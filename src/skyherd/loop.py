@@ -1,7 +1,7 @@
 """Closed control loop from images to formation. All outputs derive from the steps that it yields."""
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import floor
 
@@ -91,6 +91,19 @@ Requests = Callable[[float], Sequence[Intervention]]
 """Function from the time of a step, s, to the interventions that an operator asks for before it."""
 
 
+@dataclass(frozen=True)
+class Overruling:
+    """Commands that the caller of `run_steps` sends in place of those of a step.
+
+    Attributes:
+        wheels: command of all robots, which their drives limit; None for the step's own.
+        flights: commands of aerial units, which their autopilots limit. Failed units ignore theirs.
+    """
+
+    wheels: VelocityCommand | None = None
+    flights: Sequence[FlightCommand] = ()
+
+
 def no_requests(time_s: float) -> Sequence[Intervention]:
     """Ask for no interventions besides those of the scenario."""
     return ()
@@ -103,10 +116,11 @@ def run_steps(
     controller_for: ControllerFactory = make_controller,
     team_for: TeamFactory = make_team,
     requests: Requests = no_requests,
-) -> Iterator[Step]:
+) -> Generator[Step, Overruling | None, None]:
     """Run a mission and yield each step after its decisions, before the world moves.
 
-    The same mission gives the same steps, since every random draw derives from the scenario's seed.
+    The same mission gives the same steps, since every random draw derives from the scenario's seed. A caller
+    may `send` other commands for the motion that follows a step.
 
     Args:
         mission: what to run.
@@ -158,7 +172,7 @@ def run_steps(
         orders = team.decide(time_s, network.deliver(time_s))
         command = world.limit(orders.command)
         shape = mission.shape_at(time_s, agents.roles)
-        yield Step(
+        overruling = yield Step(
             time_s=time_s,
             positions_m=world.positions_m,
             headings_rad=world.headings_rad,
@@ -171,6 +185,10 @@ def run_steps(
             roles=agents.roles,
             interventions=tuple(due),
         )
+        if overruling is not None:
+            command = world.limit(overruling.wheels or command)
+            for flight in overruling.flights:
+                world.fly(FlightCommand.hold(flight.unit_id) if flight.unit_id in dead else flight)
         world.advance(command, time_s, scenario.step_s)
 
 

@@ -27,6 +27,7 @@ class RunStream(IntEnum):
     SWAY = 6
     ROBOT_CLOCKS = 7
     REPORTED_POSITIONS = 8
+    EPISODES = 9
     RANDOM_MISSION = 71
     STAR_MISSION = 73
     CROWDED_MISSION = 79

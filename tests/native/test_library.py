@@ -129,7 +129,40 @@ def fuzz_marker_fit(library, rng, image, cells, count):
     fits, _ = library.fit_markers(FitRequest(*given), plane)
     if streak is not None:
         library.streak_evidence(FitRequest(*given))
+    fuzz_following(library, rng, image, cells, start)
     return int(np.nan_to_num(fits["pixels"]).sum())
+
+
+def fuzz_following(library, rng, image, cells, places):
+    """Follow markers from random tracks and estimates; every second request lets all fits count as usual."""
+    from skyherd.vision.native.follow_records import TRACK, Estimates, FollowConstants, FollowRequest
+    from skyherd.vision.native.records import PLANE
+    from skyherd.vision.photometric.first_fit import follow_constants
+    from skyherd.vision.photometric.fitting.fit import fit_constants
+
+    tracks, constants = (
+        np.zeros(len(places), TRACK),
+        FollowConstants.from_buffer_copy(follow_constants("4X4_50")),
+    )
+    tracks["homographies"], tracks["sigmas_px"] = places, rng.uniform(0.3, 3, len(places))
+    for name in ("velocities", "similarity_log_rates", "times_s", "sigmas_px"):
+        if rng.random() < 0.3:
+            tracks[name] = rng.choice([0.0, 1e-300, 1e300, np.inf, np.nan, -1.0, 1.0], len(places))
+    tracks["on_arc"], tracks["missed"] = rng.integers(0, 2, len(places)), rng.integers(0, 20, len(places))
+    if rng.random() < 0.5:
+        limits = constants.verification
+        for name in ("min_contrast", "min_area_share", "min_print_share"):
+            setattr(limits, name, -np.inf)
+        for name, _ in [*limits._fields_, *constants._fields_]:
+            owner = limits if hasattr(limits, name) else constants
+            if name.startswith("max_") and name not in ("max_missed", "max_ratio", "max_sigma_cells"):
+                setattr(owner, name, np.inf)
+        for name in ("model_share", "cell_model_share", "strong_cell_limit", "wrong_bits"):
+            setattr(limits, name, np.inf)
+        limits.is_strong, constants.blur_settled, constants.outlier_share = 1, np.inf, np.inf
+    estimates = Estimates(*rng.choice([np.nan, 0.0, 1.0, 100.0], 4), (1.0, np.inf), 1.0)
+    about = np.zeros(1, PLANE), estimates, fit_constants(), constants
+    library.follow_markers(FollowRequest(image, tracks, cells, *about, float(rng.normal()), 3.0, 6))
 
 
 def fuzz_render(path, seed=0, images=100):

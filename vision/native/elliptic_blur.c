@@ -148,7 +148,10 @@ int32_t fill_elliptic(const Scene *scene, const MarkerRows *given, const double 
     if (!are_valid(scene, given)) return FIT_INVALID_SIZE;
     for (int64_t k = 0; k < given->count; k++) {
         const CentreBlur blur = centre_blur(scene->markers + k, blurs + 6 * k);
-        if (reach_of(scene, given, k, &blur) <= 2) fill_marker(4, 0, scene, given, k, &blur, bends);
+        const float reach = reach_of(scene, given, k, &blur);
+        if (reach <= 1) fill_marker(2, 0, scene, given, k, &blur, bends);
+        else if (reach <= 2) fill_marker(4, 0, scene, given, k, &blur, bends);
+        else if (reach <= 3) fill_marker(6, 0, scene, given, k, &blur, bends);
         else fill_marker(scene->n + 1, 1, scene, given, k, &blur, bends);
     }
     return 0;

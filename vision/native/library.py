@@ -11,6 +11,7 @@ import numpy.typing as npt
 from skyherd.geometry import Array, ComplexArray, Image, IntArray
 from skyherd.native.arguments import address, check, check_plane
 from skyherd.native.loading import declare, library_of
+from skyherd.vision.native.follow_records import FollowRequest, FollowResults
 from skyherd.vision.native.records import (
     COLUMNS,
     ERRORS,
@@ -328,6 +329,16 @@ class Library:
         check(self.functions.streak_evidence(ctypes.byref(given), *results), ERRORS)
         return informations, scores
 
+    def follow_markers(self, request: FollowRequest) -> tuple[int, FollowResults]:
+        """Follow markers into an image; return how far it went, as `follow.h` says, and the results.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is out of range.
+        """
+        given, (results, memory) = request.structure(), FollowResults.room_for(request)
+        end = self.functions.follow_markers(ctypes.byref(given), ctypes.byref(memory))
+        return check(end, ERRORS), results.cut(memory)
+
     def fit_plane(
         self,
         points: ComplexArray,
@@ -396,6 +407,7 @@ def declared(functions: ctypes.CDLL) -> Library:
         "hold_unknowns": (integer, *(pointer,) * 3, long, integer, integer, pointer, pointer),
         "fit_markers": (integer, pointer, pointer, pointer, pointer),
         "streak_evidence": (integer, pointer, pointer, pointer),
+        "follow_markers": (integer, pointer, pointer),
         "fit_plane": (integer, *(pointer,) * 4, long, integer, pointer),
     }
     declare(functions, signatures)

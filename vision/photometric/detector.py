@@ -2,7 +2,8 @@
 
 Each image passes through these stages. Stages return values; the detector alone writes a camera's state.
 
-1. *Follow* (`following`): markers of the last image are fitted where they are predicted.
+1. *Follow* (`first_fit`, `following`): markers of the last image are fitted where they are predicted. If all
+   of them are found as usual, one compiled call has done this, verified them and learned the next state.
 2. *Search* (`skyherd.vision.search`, `candidates`): the image is searched for dark quadrilaterals whose cells
    resemble a marker, in every fifth image, and at once when a followed marker is missing or none is known.
    A fallback search looks again, at twice the size and with stretched contrast, where none was found.
@@ -28,6 +29,7 @@ from skyherd.vision.photometric.candidates import (
     outside_markers,
     unambiguous,
 )
+from skyherd.vision.photometric.first_fit import fit_predicted
 from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
@@ -113,13 +115,17 @@ class PhotometricDetector:
         """
         image = check_grey(image)
         state = self.states.get(unit_id, CameraState()) if self.following else CameraState()
-        followed = follow(image, self.dictionary, state, time_s)
+        first = fit_predicted(image, self.dictionary, state, time_s)
+        if first.is_usual and not self._is_due(state.unsearched + 1):
+            self.states[unit_id] = first.learned(state)
+            return first.detections(image, state, time_s, unit_id)
+        followed = follow(image, self.dictionary, state, first)
         found = followed.found
         if followed.is_missing and len(found.ids) < MIN_FOLLOWED_SHARE * len(state.tracks.seen.ids):
             followed, found = replace(followed, plane=Plane()), self._none
         state = replace(state, plane=followed.plane, unsearched=state.unsearched + 1)
         is_amiss = followed.is_missing or not len(found.ids)
-        if is_amiss or self._is_due(state):
+        if is_amiss or self._is_due(state.unsearched):
             state, searched = self._search(image, state, found.homographies, thoroughly=is_amiss)
             found = found.joined(searched)
             found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else unambiguous(found)
@@ -151,9 +157,12 @@ class PhotometricDetector:
         ]
         return reduce(SearchPass.joined, passes, SearchPass.empty(self.dictionary, state.plane))
 
-    def _is_due(self, state: CameraState) -> bool:
-        """Return whether the whole image is searched though all known markers were found."""
-        return state.unsearched >= SEARCH_INTERVAL
+    def _is_due(self, unsearched: int) -> bool:
+        """Return whether the whole image is searched though all known markers were found.
+
+        `unsearched` is the number of images since the last search, with this one.
+        """
+        return unsearched >= SEARCH_INTERVAL
 
     def _search(
         self, image: Image, state: CameraState, followed: LocalHomographies, *, thoroughly: bool
@@ -252,7 +261,7 @@ class DeferringDetector(PhotometricDetector):
             state = replace(state, tracks=tracks)
         self.states[unit_id] = replace(state, unsearched=0) if part >= PARTS - 1 else state
 
-    def _is_due(self, state: CameraState) -> bool:
+    def _is_due(self, unsearched: int) -> bool:
         """Return False: `look_around` searches instead."""
         return False
 

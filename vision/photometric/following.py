@@ -1,7 +1,7 @@
 """Markers followed from one image of a camera to the next: fitted where they are predicted.
 
-A followed marker is fitted where its own last steps lead, then where the common motion of the others takes
-it, and at last searched for near these places (`skyherd.vision.photometric.tracks`).
+A followed marker is fitted where its own last steps lead (`first_fit`), then where the common motion of the
+others takes it, and at last searched for near these places (`skyherd.vision.photometric.tracks`).
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +12,7 @@ from skyherd.geometry import SQUARE_CORNERS, Array, IntArray, to_points
 from skyherd.markers.dictionary import code_distance
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.candidates import find_candidates, outside_markers, unambiguous
+from skyherd.vision.photometric.first_fit import FirstFit
 from skyherd.vision.photometric.fitting.fit import MAX_STEPS_FROM_PREDICTION, USUAL_NOISE
 from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
@@ -22,13 +23,10 @@ from skyherd.vision.photometric.refine import fit_any_blur, is_promising
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.photometric.tracks import (
     MIN_SHIFT_SIDES,
-    REACH_SIDES,
     apply_similarity,
     common_motion,
     find_quads_near,
-    in_view,
     innermost,
-    is_whole,
     shifts_sides,
 )
 from skyherd.vision.photometric.verify import verified
@@ -51,24 +49,22 @@ class Followed:
     plane: Plane
 
 
-def follow(image: Image, dictionary: str, state: CameraState, time_s: float) -> Followed:
+def follow(image: Image, dictionary: str, state: CameraState, first: FirstFit) -> Followed:
     """Return the followed markers that an image shows.
 
     Args:
         image: grey, (height, width).
         dictionary: of the markers.
         state: of the camera.
-        time_s: when the image was taken.
+        first: the prediction and the first fit.
     """
-    tracks = state.tracks
-    start = tracks.predicted(time_s)
-    here, whole = in_view(start, image.shape), is_whole(start, image.shape)
-    should_be_seen = whole | (shifts_sides(tracks.homographies, start) > REACH_SIDES)
-    should_be_seen &= tracks.missed == 0
-    if not here.any():
-        return Followed(no_fit_results(dictionary), bool(should_be_seen.any()), state.plane)
-    ids, start, missed = tracks.ids[here], start.take(here), tracks.missed[here]
-    fits, start, plane = _fit_tracks(image, dictionary, state, ids, start, tracks.sigmas_px[here])
+    tracks, here, plane = state.tracks, first.rows, state.plane
+    if not here.size:
+        return Followed(no_fit_results(dictionary), bool(first.should_be_seen.any()), plane)
+    ids, start, missed = tracks.ids[here], first.start, tracks.missed[here]
+    if first.is_usual:
+        return Followed(first.fits(ids), False, first.plane)
+    fits, start, plane = _fit_tracks(image, dictionary, state, ids, first, tracks.sigmas_px[here])
     lost = ~is_promising(fits)
     near = _find_near(image, dictionary, state, start.take(lost), fits.homographies.take(~lost), missed[lost])
     near = near.take(np.isin(near.ids, ids))  # others are for the search, which compares their prints
@@ -80,7 +76,7 @@ def follow(image: Image, dictionary: str, state: CameraState, time_s: float) -> 
         )
         fits = fits.take(good & np.isin(fits.ids, ids))
     found = unambiguous(fits.joined(near))
-    return Followed(found, bool((should_be_seen & ~np.isin(tracks.ids, found.ids)).any()), plane)
+    return Followed(found, bool((first.should_be_seen & ~np.isin(tracks.ids, found.ids)).any()), plane)
 
 
 def _start_corners(fits: FitResults, start: LocalHomographies) -> Array:
@@ -96,12 +92,13 @@ def _fit_tracks(
     dictionary: str,
     state: CameraState,
     ids: IntArray,
-    start: LocalHomographies,
+    first: FirstFit,
     sigmas_px: Array,
 ) -> tuple[FitResults, LocalHomographies, Plane]:
     """Return fits of followed markers, their places as predicted or by the common motion, and the plane."""
-    about = state.plane, state.noise or USUAL_NOISE, MAX_STEPS_FROM_PREDICTION
-    fits, plane = fit_any_blur(image, dictionary, ids, start, sigmas_px, *about)
+    about, start = (state.plane, state.noise or USUAL_NOISE, MAX_STEPS_FROM_PREDICTION), first.start
+    fitted = (first.fits(ids), first.plane) if first.is_fitted else None
+    fits, plane = fit_any_blur(image, dictionary, ids, start, sigmas_px, *about, fitted=fitted)
     lost = np.flatnonzero(~is_promising(fits))
     if not lost.size:
         return fits, start, plane

@@ -198,6 +198,7 @@ def fit_any_blur(
     alone: bool = False,
     max_side_px: float = MAX_SIDE_PX,
     streak_px2: complex | None = None,
+    fitted: tuple[FitResults, Plane] | None = None,
 ) -> tuple[FitResults, Plane]:
     """Fit markers as `fit_all_sizes` does, of which `sigmas_px` is only where the blur begins.
 
@@ -213,6 +214,7 @@ def fit_any_blur(
         alone: whether each marker has a plane of its own, also if one would explain them all.
         max_side_px: side from which on markers are fitted in a shrunk image.
         streak_px2: as of `fit_markers`.
+        fitted: result of the first fit, if it is known already.
 
     Returns:
         The results in the order of `ids`, and the plane that they put the markers on.
@@ -227,7 +229,7 @@ def fit_any_blur(
         max_side_px=max_side_px,
         streak_px2=streak_px2,
     )
-    fits, plane = fit(ids, homographies, sigmas_px, plane, max_steps=max_steps)
+    fits, plane = fitted or fit(ids, homographies, sigmas_px, plane, max_steps=max_steps)
     for _ in range(BLUR_ROUNDS):
         found_px = _within_limits(fits)
         rows = np.flatnonzero(is_promising(fits) & (np.abs(np.log(found_px / sigmas_px)) > BLUR_SETTLED))

@@ -11,11 +11,14 @@ they are. But they moved alike: a camera's motion over flat ground takes every p
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, ComplexArray, IntArray
 from skyherd.vision.grey import Image
+from skyherd.vision.native.follow_records import TRACK
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.row_record import RowRecord
 from skyherd.vision.search.quads import find_quads
@@ -69,6 +72,24 @@ class Tracks(RowRecord):
     on_arc: BoolArray
     sigmas_px: Array
     missed: IntArray
+
+    @classmethod
+    def of_records(cls, records: npt.NDArray[np.void]) -> "Tracks":
+        """Return the tracks of records (N,) of `TRACK`, which are not copied."""
+        fields = {name: records[name] for name in TRACK.names or ()}
+        places = LocalHomographies.of_records(fields.pop("homographies"))
+        tracks = cls(homographies=places, on_arc=fields.pop("on_arc") != 0, **fields)
+        tracks.__dict__["records"] = records
+        return tracks
+
+    @cached_property
+    def records(self) -> npt.NDArray[np.void]:
+        """The tracks as records (N,) of `TRACK`."""
+        records = np.empty(self.ids.size, dtype=TRACK)
+        for name in TRACK.names or ():
+            own = getattr(self, name)
+            records[name] = own.records() if isinstance(own, LocalHomographies) else own
+        return records
 
     @property
     def seen(self) -> "Tracks":
@@ -142,23 +163,6 @@ def no_tracks() -> Tracks:
     empty, numbers = np.zeros(0, dtype=complex), np.zeros(0, dtype=np.int64)
     places = LocalHomographies(empty, empty, empty, empty)
     return Tracks(numbers, np.zeros(0), places, empty, empty, numbers.astype(bool), np.zeros(0), numbers)
-
-
-def in_view(homographies: LocalHomographies, image_shape: tuple[int, ...]) -> BoolArray:
-    """Return which markers (N,) have their centres inside an image (height, width)."""
-    height, width = image_shape
-    from_middle = homographies.centers - complex(width - 1, height - 1) / 2
-    return np.asarray((np.abs(from_middle.real) < width / 2) & (np.abs(from_middle.imag) < height / 2))
-
-
-def is_whole(homographies: LocalHomographies, image_shape: tuple[int, ...]) -> BoolArray:
-    """Return which markers (N,) have all of their corners inside an image (height, width)."""
-    height, width = image_shape
-    corners = homographies.images(SQUARE_CORNERS)
-    inside = (np.abs(corners.real - (width - 1) / 2) < width / 2) & (
-        np.abs(corners.imag - (height - 1) / 2) < height / 2
-    )
-    return np.asarray(inside.all(axis=1))
 
 
 def common_motion(before: LocalHomographies, after: LocalHomographies) -> tuple[complex, complex]:

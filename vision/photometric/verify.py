@@ -20,6 +20,7 @@ import numpy as np
 
 from skyherd.geometry import Array, BoolArray
 from skyherd.markers.blur_model import normal_cdf
+from skyherd.vision.native.follow_records import VerificationLimits
 from skyherd.vision.photometric.fitting.fit import has_outlier_pixels
 from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
 
@@ -305,3 +306,38 @@ def _residual_tests(
         tests = [FitTest(Quantity.WORST_CELL, worst, most), *tests]
     over_noise = np.maximum(noise / wrong.cells_px, CELL_MODEL_SHARE * fits.contrasts)
     return [*tests, FitTest(Quantity.CELL_RESIDUAL, over_cells, over_noise)]
+
+
+@lru_cache(maxsize=8)
+def verification_limits(distance: int) -> VerificationLimits:
+    """Return the limits of `verified` for the compiled library."""
+    (own, square), is_strong = _integral_tables(), distance >= STRONG_DISTANCE
+    return VerificationLimits(
+        wrong_cell_share=WRONG_CELL_SHARE,
+        wrong_cell_sigmas=WRONG_CELL_SIGMAS,
+        wrong_cell_limit=WRONG_CELL_LIMIT,
+        strong_cell_limit=STRONG_CELL_LIMIT,
+        weak_cell_share=WEAK_CELL_SHARE,
+        min_contrast=MIN_MARKER_CONTRAST,
+        max_white=MAX_WHITE,
+        max_cell_noise=MAX_CELL_NOISE,
+        max_anisotropy=MAX_ANISOTROPY,
+        max_keystone=MAX_KEYSTONE,
+        max_blur_cells=MAX_BLUR_CELLS,
+        max_last_step_px=MAX_LAST_STEP_PX,
+        min_area_share=MIN_AREA_SHARE,
+        noise_factor=STRONG_NOISE_FACTOR if is_strong else NOISE_FACTOR,
+        model_share=MODEL_SHARE,
+        cell_model_share=CELL_MODEL_SHARE,
+        sharp_blur_cells=STRONG_BLUR_CELLS if is_strong else SHARP_BLUR_CELLS,
+        max_processed_noise=MAX_PROCESSED_NOISE,
+        wrong_bits=WRONG_BITS_PER_DISTANCE * distance,
+        min_print_share=MIN_PRINT_SHARE,
+        min_divisor_contrast=MIN_DIVISOR_CONTRAST,
+        first_log_sigma=_LOG_SIGMAS[0],
+        last_log_sigma=_LOG_SIGMAS[-1],
+        own_cell=own.ctypes.data,  # the tables are kept by their cache
+        square=square.ctypes.data,
+        table_size=own.size,
+        is_strong=is_strong,
+    )

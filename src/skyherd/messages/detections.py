@@ -133,7 +133,7 @@ class Detections:
         if n and not np.size(self.qualities):
             object.__setattr__(self, "qualities", np.full(n, Quality.CORNERS))
         freeze(self, "qualities", (n,), integer=True)
-        if not np.isin(self.qualities, list(Quality)).all():
+        if n and not (self.qualities.min() >= min(Quality) and self.qualities.max() <= max(Quality)):
             raise MessageError(f"Detections.qualities: {self.qualities.tolist()}, expected 0, 1 or 2")
         if (self.sides_px <= 0).any():
             raise MessageError("Detections.sides_px: every side must be positive")

@@ -1,8 +1,9 @@
 """viser's server behind the checks of `access` and `messages`, on a socket that is already bound."""
 
 import io
+import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from http import HTTPStatus
 from socket import socket
 from typing import Any
@@ -66,7 +67,8 @@ def stop_server(server: viser.ViserServer) -> None:
 def set_first_view(client: viser.ClientHandle, place: Place, looked_at: Place) -> None:
     """Set the view that a browser begins with, and returns to by its command *Reset View*.
 
-    viser's `initial_camera` is the same for all windows, and is applied after values of `client.camera`.
+    viser's `initial_camera` is the same for all windows, and is applied after values of `client.camera`. A
+    browser that has closed the page meanwhile gets nothing.
 
     Args:
         client: the browser.
@@ -75,8 +77,10 @@ def set_first_view(client: viser.ClientHandle, place: Place, looked_at: Place) -
     """
     with client.atomic():
         send = client._websock_connection.queue_message
-        send(SetCameraPositionMessage(place, initial=True))
-        send(SetCameraLookAtMessage(looked_at, initial=True))
+        with suppress(UserWarning), warnings.catch_warnings():
+            warnings.filterwarnings("error", "Queued a .* on a closed connection", UserWarning)
+            send(SetCameraPositionMessage(place, initial=True))
+            send(SetCameraLookAtMessage(looked_at, initial=True))
 
 
 @contextmanager

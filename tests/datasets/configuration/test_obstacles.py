@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skyherd.bodies import Bodies
 from skyherd.datasets import Mission, make_mission
+from skyherd.datasets.configuration.bodies import Bodies
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
 from skyherd.messages import Detections

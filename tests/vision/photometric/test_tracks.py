@@ -9,13 +9,14 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 import pytest
+from tests.helpers.following_reference import in_view
 
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric.fitting.fit import fit_markers
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
-from skyherd.vision.photometric.tracks import MAX_MISSED, in_view, no_tracks
+from skyherd.vision.photometric.tracks import MAX_MISSED, no_tracks
 
 DICTIONARY, SIZE = "4X4_50", (400, 320)
 HOMES = np.array([80 + 80j, 200 + 80j, 320 + 80j, 80 + 230j, 200 + 230j, 320 + 230j])

@@ -6,6 +6,7 @@ decided here; its level is an unknown of the fit, and its texture counts as nois
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -109,13 +110,10 @@ def appearances_of(
     Raises:
         InputError: there is no such dictionary, or no marker of such an id in it.
     """
-    quiet, n = (card_side(dictionary) - 1) / 2, cells_per_side(dictionary)
+    quiet = quiet_zone(dictionary)
     beyond = np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas)
-    cells = np.zeros((ids.size, n + 2, n + 2), dtype=np.float32)
-    for own, marker in zip(cells, ids.tolist(), strict=True):
-        own[1:-1, 1:-1] = ~marker_cells(dictionary, marker)
     return MarkerAppearances(
-        cells=cells,
+        cells=black_cells(dictionary, ids),
         sigmas=relative_sigmas,
         read_limits=0.5 + beyond,
         reaches_ground=quiet - beyond < GROUND_SIGMAS * relative_sigmas,
@@ -125,3 +123,28 @@ def appearances_of(
         round_in_image=plane != Plane() or streak_px2 is not None,
         streak_px2=streak_px2,
     )
+
+
+def black_cells(dictionary: str, ids: IntArray) -> npt.NDArray[np.float32]:
+    """Return the cells (N, n + 2, n + 2) of markers, read-only: 1 where black, 0 elsewhere and around.
+
+    Raises:
+        InputError: there is no such dictionary, or no marker of such an id in it.
+    """
+    return _black_cells(dictionary, tuple(ids.tolist()))
+
+
+@lru_cache(maxsize=64)
+def _black_cells(dictionary: str, ids: tuple[int, ...]) -> npt.NDArray[np.float32]:
+    """Return the result of `black_cells`. The cache holds 64, since a camera sees the same markers again."""
+    n = cells_per_side(dictionary)
+    cells = np.zeros((len(ids), n + 2, n + 2), dtype=np.float32)
+    for own, marker in zip(cells, ids, strict=True):
+        own[1:-1, 1:-1] = ~marker_cells(dictionary, marker)
+    cells.setflags(write=False)
+    return cells
+
+
+def quiet_zone(dictionary: str) -> float:
+    """Return the width of the white card beyond the marker, in marker sides."""
+    return (card_side(dictionary) - 1) / 2

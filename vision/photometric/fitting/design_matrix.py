@@ -137,7 +137,7 @@ class DesignMatrices:
 
     def restrict(self, used: BoolArray) -> None:
         """Set all pixels to zero, in place, but those marked in `used` (P,)."""
-        self.columns *= used[:, None]
+        self.columns[~used] = 0.0
         before = np.concatenate([[0], np.cumsum(self.columns[:, BLACK] > 0)])
         self.counts = np.diff(before[self.bounds])
 
@@ -146,7 +146,7 @@ class DesignMatrices:
         away = ~outliers
         for number, (begin, end) in enumerate(pairwise(self.bounds.tolist())):
             out = outliers[begin:end]
-            if out.any():
+            if margin_px[number] > 0 and out.any():
                 columns, rows = (self.pixels[begin:end] - self.pixels[begin:end].min(axis=0)).T
                 is_away = np.ones((rows.max() + 1, columns.max() + 1), dtype=np.uint8)
                 is_away[rows[out], columns[out]] = 0

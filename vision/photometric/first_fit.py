@@ -1,0 +1,175 @@
+"""Followed markers fitted where they are predicted, in one compiled call (`vision/native/follow.h`).
+
+In most images of a video all markers in view are found where they are predicted: each fit is verified, under
+the blur that was assumed, wholly visible and without a streak. The call then also learns the next state of
+the camera and writes the detections. In other images `following` goes on from the fits.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import nan
+
+import numpy as np
+
+from skyherd.geometry import MEDIAN_PER_SIGMA, BoolArray, IntArray
+from skyherd.markers.dictionary import code_distance
+from skyherd.messages import Detections, Quality
+from skyherd.vision.grey import Image
+from skyherd.vision.native.follow_records import Estimates, FollowConstants, FollowRequest, FollowResults
+from skyherd.vision.native.library import library
+from skyherd.vision.photometric import image_noise, refine, tracks, verify
+from skyherd.vision.photometric.fitting import appearance, correlated_noise, fit, streak_evidence
+from skyherd.vision.photometric.fitting.correlated_noise import PooledRatios
+from skyherd.vision.photometric.fitting.fit_result import FitResults
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.plane import Plane
+from skyherd.vision.photometric.state import LEARNING_RATE, CameraState
+from skyherd.vision.photometric.tracks import Tracks
+
+USUAL, NOT_FITTED = 0, 1
+"""Results of the compiled call, as in `follow.h`."""
+
+
+@dataclass(frozen=True)
+class FirstFit:
+    """Prediction and fit of the markers that a camera follows, of which M are in view.
+
+    Attributes:
+        is_usual: whether all are as usual; what is learned, and the detections, are valid then.
+        is_fitted: whether the markers in view were fitted.
+        results: of the compiled call; None if no marker is followed.
+    """
+
+    is_usual: bool
+    is_fitted: bool
+    results: FollowResults | None
+
+    @property
+    def rows(self) -> IntArray:
+        """Indices (M,) of the tracks in view."""
+        return np.zeros(0, dtype=np.int64) if self.results is None else self.results.rows
+
+    @property
+    def should_be_seen(self) -> BoolArray:
+        """Mask (N,) of the tracks that the image should show."""
+        return np.zeros(0, dtype=bool) if self.results is None else self.results.should_be_seen != 0
+
+    @property
+    def start(self) -> LocalHomographies:
+        """Predicted homographies of the markers in view."""
+        return LocalHomographies.of_records(self._known.starts)
+
+    @property
+    def plane(self) -> Plane:
+        """Common plane of the markers after the fit."""
+        return Plane.of_record(self._known.plane)
+
+    def fits(self, ids: IntArray) -> FitResults:
+        """Return the fits of the markers in view, `ids` (M,)."""
+        known = self._known
+        return FitResults.of_records(ids, known.fits, known.cell_means, known.blurs)
+
+    def learned(self, before: CameraState) -> CameraState:
+        """Return the state of the camera after an image in which all is as usual."""
+        known = self._known
+        found = known.estimates
+        return replace(
+            before,
+            sigma_px=found.sigma_px,
+            noise=found.noise,
+            contrast=found.contrast,
+            print_contrast=found.print_contrast,
+            plane=self.plane,
+            tracks=Tracks.of_records(known.tracks),
+            unsearched=before.unsearched + 1,
+            ratios=PooledRatios(np.array(found.ratio_sums), found.ratio_boxes),
+        )
+
+    def detections(self, image: Image, before: CameraState, time_s: float, unit_id: int) -> Detections:
+        """Return the detections of an image in which all is as usual; `before` is the state before it."""
+        known = self._known
+        return Detections(
+            unit_id=unit_id,
+            time_s=time_s,
+            image_size_px=np.array([image.shape[1], image.shape[0]]),
+            ids=before.tracks.ids[known.rows],
+            qualities=np.full(known.rows.size, Quality.PHOTOMETRIC.value),
+            **{name: known.detections[name] for name in known.detections.dtype.names or ()},
+        )
+
+    @property
+    def _known(self) -> FollowResults:
+        assert self.results is not None, "a marker is followed"
+        return self.results
+
+
+def fit_predicted(image: Image, dictionary: str, state: CameraState, time_s: float) -> FirstFit:
+    """Fit the followed markers where they are predicted.
+
+    Args:
+        image: grey, (height, width), contiguous.
+        dictionary: of the markers.
+        state: of the camera.
+        time_s: when the image was taken.
+    """
+    if not state.tracks.ids.size:
+        return FirstFit(is_usual=False, is_fitted=False, results=None)
+    request = FollowRequest(
+        image=image,
+        tracks=state.tracks.records,
+        cells=appearance.black_cells(dictionary, state.tracks.ids),
+        plane=state.plane.record(),
+        estimates=_estimates(state),
+        fit_constants=fit.fit_constants(),
+        constants=follow_constants(dictionary),
+        time_s=time_s,
+        noise=state.noise or fit.USUAL_NOISE,
+        max_steps=fit.MAX_STEPS_FROM_PREDICTION,
+    )
+    end, results = library().follow_markers(request)
+    return FirstFit(is_usual=end == USUAL, is_fitted=end != NOT_FITTED, results=results)
+
+
+def _estimates(state: CameraState) -> Estimates:
+    """Return the estimates of a camera for the compiled library."""
+    known = (state.sigma_px, state.noise, state.contrast, state.print_contrast)
+    levels = (nan if value is None else value for value in known)
+    return Estimates(*levels, tuple(state.ratios.sums.tolist()), state.ratios.boxes)
+
+
+@lru_cache(maxsize=8)
+def follow_constants(dictionary: str) -> FollowConstants:
+    """Return the constants of following markers of a dictionary for the compiled library."""
+    return FollowConstants(
+        reach_sides=tracks.REACH_SIDES,
+        quiet=appearance.quiet_zone(dictionary),
+        outside_sigmas=appearance.OUTSIDE_SIGMAS,
+        inside_sigmas=appearance.INSIDE_SIGMAS,
+        ground_sigmas=appearance.GROUND_SIGMAS,
+        texture=appearance.TEXTURE,
+        black_ratio=appearance.USUAL_BLACK_RATIO,
+        max_side_px=refine.MAX_SIDE_PX,
+        min_sigma_px=refine.MIN_SIGMA_PX,
+        max_sigma_cells=refine.MAX_SIGMA_CELLS,
+        blur_settled=refine.BLUR_SETTLED,
+        max_log_blur_difference=refine.MAX_LOG_BLUR_DIFFERENCE,
+        max_wrong_share=refine.MAX_WRONG_SHARE,
+        streak_pixels=refine.STREAK_PIXELS,
+        significant=refine.SIGNIFICANT,
+        min_streak_px2=refine.MIN_STREAK_PX2,
+        streak_ridge=streak_evidence.RIDGE,
+        outlier_share=fit.OUTLIER_SHARE,
+        outlier_sigmas=fit.OUTLIER_SIGMAS,
+        rounding_noise=image_noise.ROUNDING_NOISE,
+        median_difference=MEDIAN_PER_SIGMA * 6**0.5,
+        learning_rate=LEARNING_RATE,
+        forgotten=correlated_noise.FORGOTTEN,
+        significant_ratio_error=correlated_noise.SIGNIFICANT_SIGMAS * correlated_noise.RATIO_ERROR,
+        min_ratio=correlated_noise.MIN_RATIO,
+        max_ratio=correlated_noise.MAX_RATIO,
+        verification=verify.verification_limits(code_distance(dictionary)),
+        max_missed=tracks.MAX_MISSED,
+        streak_markers=refine.STREAK_MARKERS,
+        saturation_margin=image_noise.SATURATION_MARGIN,
+        min_unsaturated_pixels=image_noise.MIN_UNSATURATED_PIXELS,
+    )

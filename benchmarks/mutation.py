@@ -52,7 +52,8 @@ PARTS = {
     "roles": Part(("control/formation/roles.py",), "tests/control/formation/test_roles.py"),
     "avoidance": Part(
         ("control/avoidance",),
-        "tests/control/avoidance/test_speed_bound.py tests/control/avoidance/test_retreat.py",
+        "tests/control/avoidance/test_speed_bound.py tests/control/avoidance/test_retreat.py"
+        " tests/control/avoidance",
     ),
     "flight": Part(
         ("control/flight",),

@@ -4,6 +4,7 @@
 export OPENBLAS_NUM_THREADS=1
 python benchmarks/halls.py --runs 60 --json runs/halls.jsonl   # the file continues an interrupted run
 python benchmarks/halls.py --runs 3 --told                     # the units are told their ceilings
+python benchmarks/halls.py --runs 20 --scramble 4              # `scramble` with random starts below 4 m
 ```
 
 Each run is the scenario `crowd` with another seed, projected noisy markers, one to three units, and a ceiling
@@ -73,6 +74,23 @@ def load_hall(seed: int, *, told: bool = False) -> tuple[Mission, float, Array]:
     return load_mission("crowd", settings), ceiling_m, half_m
 
 
+def load_scramble(seed: int, ceiling_m: float) -> tuple[Mission, float, Array]:
+    """Return `scramble` with random starts below one ceiling, in the form of `load_hall`."""
+    settings = [
+        f"seed={seed}",
+        "perception=noisy",
+        f"duration_s={DURATION_S}",
+        f"autopilot.max_height_m={ceiling_m}",
+        "units.*.frame_rate_hz=5.0",
+        f"units.*.height_m={ceiling_m}",
+        "robots={ count = 16, scatter = { scale_m = 0.001, jitter_m = 2.4, spacing_m = 1.0 }, "
+        "max_speed_mps = 0.6, body_radius_sides = 1.0, drive = { max_accel_mps2 = 1.5 } }",
+    ]
+    mission = load_mission("scramble", settings)
+    half_m = ceiling_m * np.tan([np.radians(unit.camera.half_angle_deg) for unit in mission.scenario.units])
+    return mission, ceiling_m, half_m
+
+
 def is_coverable(mission: Mission, half_m: Array) -> bool:
     """Return whether square views of half widths (U,) cover the cards of the smallest shape together."""
     shape, size = mission.template, mission.scenario.size
@@ -92,9 +110,11 @@ def is_coverable(mission: Mission, half_m: Array) -> bool:
     return full in reached
 
 
-def run_hall(seed: int, *, told: bool = False) -> Row:
+def run_hall(seed: int, *, told: bool = False, scramble_m: float | None = None) -> Row:
     """Run one mission until its shape is held; return whether it was formed, or why not."""
-    mission, ceiling_m, half_m = load_hall(seed, told=told)
+    mission, ceiling_m, half_m = (
+        load_hall(seed, told=told) if scramble_m is None else load_scramble(seed, scramble_m)
+    )
     steps, held_s, formed_s = [], 0.0, None
     for step in run_steps(mission):
         steps.append(step)
@@ -137,13 +157,18 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--told", action="store_true", help="tell the units their ceilings, as a marker side")
+    parser.add_argument(
+        "--scramble", type=float, metavar="M", help="ceiling of `scramble`, m, for random halls"
+    )
     parser.add_argument("--runs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1000, help="of the first run")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", type=Path, help="file of rows, one a line")
     options = parser.parse_args()
     seeds = range(options.seed, options.seed + options.runs)
-    rows = gather(partial(run_hall, told=options.told), seeds, options.jobs, options.json)
+    rows = gather(
+        partial(run_hall, told=options.told, scramble_m=options.scramble), seeds, options.jobs, options.json
+    )
     print(json.dumps(summarize(rows), indent=1))
 
 

@@ -57,6 +57,11 @@ MOVERS_FROM_M = (3.5, 7.0)
 """Range of a mover's distance from the team's centre at the start, m. Chosen: the nearest movers meet robots
 that still form the shape, and the farthest meet the finished one."""
 
+MOVERS_VIEW = ("units.*.flight.border_sides=3.5", "units.*.height_m=7.0")
+"""Settings of the cameras among movers. Derived: bodies touch at 2 sides, the margin is 0.2 sides, half the
+diagonal of a card 1.0 side, and 0.3 sides are for the unit's response. They start at the height at which they
+then fly."""
+
 AIM_M = 1.0
 """Maximum offset of a mover's path from the team's centre, along each axis, m."""
 
@@ -180,7 +185,7 @@ def load_world(
     if world == "movers":
         # The scenario's own obstacles are far away; they make the movers' ids known as obstacles.
         far = (f"{{ id = {mover}, position_m = [{10 * mover}.0, 500.0] }}" for mover in MOVER_IDS)
-        settings.append(f"obstacles=[{', '.join(far)}]")
+        settings += [f"obstacles=[{', '.join(far)}]", *MOVERS_VIEW]
     return load_mission("crowd", settings)
 
 

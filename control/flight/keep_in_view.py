@@ -99,7 +99,8 @@ class KeepInView(FlightLaw):
 
     The lateral velocity leads to the middle of the set: `v = lateral_gain c`, with c the centre of its
     bounding box in the image. The unit climbs and zooms out in proportion to the excess of the farthest robot
-    over `desired_radius`. It descends and zooms in if the farthest robot is nearer.
+    over `desired_radius`. It descends and zooms in if the farthest robot is nearer. With `border_sides`, the
+    distance to the border counts likewise, so that bodies near the farthest robot are in view.
 
     - Unseen robots count at their remembered positions (control/flight/image_memory.py). A unit that takes
       over robots outside its view therefore flies to them. While one of them has no known position, it
@@ -126,6 +127,9 @@ class KeepInView(FlightLaw):
         separation_sides: minimum distance between the image centres of two units, in marker sides.
         min_side_px: minimum median side of the markers. The unit neither climbs nor zooms out below it, and
             descends or zooms in if it is smaller: a marker that is too small is not detected.
+        border_sides: minimum distance of the set from the border of the image, in marker sides. A body that
+            approaches a robot is visible if this exceeds the distance at which the two touch, plus the
+            margin, plus half the diagonal of the body's card.
         patrol_s: observation time of each robot on patrol. Chosen: two dwell times, in which a robot can be
             adopted.
         radio_range_sides: radio range on the ground, in marker sides; infinite without a limit.
@@ -139,6 +143,7 @@ class KeepInView(FlightLaw):
     dead_band: float = 0.02
     separation_sides: float = 6.0
     min_side_px: float = 12.0
+    border_sides: float = 0.0
     patrol_s: float = 4.0
     radio_range_sides: float = np.inf
     memory: ImageMemory = field(init=False)
@@ -150,7 +155,7 @@ class KeepInView(FlightLaw):
 
     def __post_init__(self) -> None:
         gains = ("lateral_gain_mps", "climb_gain_mps", "zoom_gain_ps", "dead_band")
-        lengths = ("separation_sides", "min_side_px")
+        lengths = ("separation_sides", "min_side_px", "border_sides")
         check_kind("KeepInView.template", self.template, Template, "a Template")
         check_numbers(self, positive=("desired_radius",), not_negative=(*gains, *lengths))
         check_numbers(self, positive=("radio_range_sides",), endless=("radio_range_sides",))
@@ -199,8 +204,8 @@ class KeepInView(FlightLaw):
                 yaw_rate_radps=0.0,
             )
         points = np.concatenate([own, self.memory.centred(task.sought_ids, seen.image_size_px)])
-        is_kept = _farthest(own) <= self.desired_radius + self.dead_band
-        excess = _farthest(points) - self.desired_radius
+        is_kept = self._excess(own, seen) <= self.dead_band
+        excess = self._excess(points, seen)
         if not controlled.size or not self.memory.known[self.memory.rows(controlled)].all():
             excess = max(excess, self.desired_radius / 2)
         excess -= min(max(excess, -self.dead_band), self.dead_band)
@@ -231,6 +236,15 @@ class KeepInView(FlightLaw):
             self._target, self._target_seen_s = int(known[np.argmin(ages)]), 0.0
         return np.asarray(self.memory.centred(np.array([self._target]), seen.image_size_px)[0])
 
+    def _excess(self, points: Array, seen: Detections) -> float:
+        """Return the excess of the farthest of points (M, 2) over the permitted distance, half images."""
+        farthest = float(np.linalg.norm(points, axis=1).max())
+        excess = farthest - self.desired_radius
+        if not (self.border_sides and np.isfinite(self._side_px)):
+            return excess
+        border = self.border_sides * self._side_px / (seen.image_size_px.min() / 2)
+        return max(excess, farthest + border - 1)
+
     @property
     def _room(self) -> float:
         """Possible climb, as a share of the height, before the ceiling or before markers are too small."""
@@ -252,8 +266,3 @@ class KeepInView(FlightLaw):
 def _middle(points: Array) -> Array:
     """Return the centre (2,) of the bounding box of points (M, 2)."""
     return np.asarray((points.min(axis=0) + points.max(axis=0)) / 2)
-
-
-def _farthest(points: Array) -> float:
-    """Return the largest distance of points (M, 2) from the image centre."""
-    return float(np.linalg.norm(points, axis=1).max())

@@ -56,6 +56,9 @@ class FlightModel(Model):
     min_side_px: NotNegative = Field(
         12.0, description="px; keep-in-view: neither climb nor zoom out once markers have only this side"
     )
+    border_sides: NotNegative = Field(
+        0.0, description="marker sides; keep-in-view: least distance of its robots from the image's border"
+    )
     speed_mps: NotNegative = Field(0.1, description="m/s; perimeter: speed along it")
     yaw_rate_degps: TurnRate = Field(
         0.0, description="deg/s; perimeter, hover: turn rate, counter-clockwise from above"

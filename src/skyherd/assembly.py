@@ -66,6 +66,7 @@ def make_flight(model: FlightModel, template: Template, radio_range_sides: float
         dead_band=model.dead_band,
         separation_sides=model.separation_sides,
         min_side_px=model.min_side_px,
+        border_sides=model.border_sides,
         radio_range_sides=np.inf if radio_range_sides is None else radio_range_sides,
         **gains,
     )

@@ -45,7 +45,7 @@ CONSTRUCTORS = {
     Perimeter: ({}, ("desired_radius", "lateral_gain_mps", "climb_gain_mps")),
     KeepInView: (
         {"template": SHAPE},
-        ("desired_radius", "zoom_gain_ps", "separation_sides", "min_side_px"),
+        ("desired_radius", "zoom_gain_ps", "separation_sides", "min_side_px", "border_sides"),
     ),
     BodyRule: ({"radius_sides": 1.0}, ("radius_sides", "margin_sides", "horizon_sides")),
     AvoidanceRule: (AVOIDANCE, ("side_m", "nominal_age_s", "step_s", "lag_s", "creep_mps", "lifetime_s")),

@@ -85,6 +85,17 @@ def test_climb_is_limited_by_minimum_marker_side(make_detections, side_px, climb
     )
 
 
+@pytest.mark.parametrize(
+    ("border_sides", "climb"), [(0.0, -0.1), (2.0, -0.1), (3.0, -0.05), (4.0, 0.05), (5.0, 0.15)]
+)
+def test_border_margin_makes_unit_climb(make_detections, border_sides, climb) -> None:
+    """The farthest robot is 0.35 from the border, and a side is 0.1: 0.35 - 0.1 b is left of a margin b."""
+    seen = view_of(make_detections, [0.65, 0.1, -0.2j], sides=[40.0] * 3)
+    flight = KeepInView(TEMPLATE, desired_radius=0.75, dead_band=0.0, border_sides=border_sides)
+    command = flight.command(seen, FlightTask(seen.ids), [])
+    assert command.climb_mps == pytest.approx(climb, abs=1e-12)
+
+
 def test_controlled_robot_without_position_makes_unit_climb(make_detections) -> None:
     """Robot 5 was never seen; the visible robots are well inside."""
     seen = view_of(make_detections, [0.1, 0.1j, -0.1])

@@ -61,7 +61,8 @@ PARTS = {
     ),
     "selection": Part(
         ("control/selection",),
-        "tests/control/selection tests/control/topology/test_conditions_and_selection.py",
+        "tests/control/topology/test_conditions_and_selection.py"
+        " tests/datasets/configuration/test_defaults.py tests/control/selection",
     ),
     "identities": Part(("control/identities.py",), "tests/control/test_identities.py"),
     "fusion": Part(("control/robots/goal_fusion.py",), "tests/control/robots"),

@@ -72,5 +72,5 @@ class SafetyRadius(SelectionPolicy):
 
     def _may_leave(self, robot: int, time_s: float) -> bool:
         """Return whether a robot was last seen outside the leaving radius, or not at all for a dwell time."""
-        seen_s, distance = self._last_seen.get(robot, (-np.inf, np.inf))
+        seen_s, distance = self._last_seen[robot]
         return time_s - seen_s >= self.dwell_s or distance >= self.radius * (1 + self.hysteresis)

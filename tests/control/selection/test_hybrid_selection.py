@@ -45,6 +45,12 @@ def test_stalled_lyapunov_value_starts_tree(one_unit) -> None:
     assert one_unit(lambda t: 5.0) == 11
 
 
+@pytest.mark.parametrize(("after", "start_s"), [(95.0, None), (95.1, 11)])
+def test_lyapunov_value_must_fall_by_share_of_progress(one_unit, after, start_s) -> None:
+    """From 100, a fall by 5 % within 10 s is progress, and less is none."""
+    assert one_unit(lambda t: 100.0 if t < 5 else after, until_s=13) == start_s
+
+
 def test_lyapunov_value_at_floor_is_no_stall(one_unit) -> None:
     """All four robots 0.1 sides from their goals make V = 4 · 0.1² / 2; half of that is within the floor."""
     assert one_unit(lambda t: 0.01) is None

@@ -182,6 +182,24 @@ class TestSafetyRadius:
         assert len(changes) > 20
         assert all(tick % 20 == 0 for tick in changes)
 
+    def test_slots_of_late_times_contain_several_images(self, make_detections) -> None:
+        """The numbers of slots are compared by value: an image within the 500th slot changes nothing."""
+        control = OneUnit()
+        for time_s, robots, expected in ((1000.0, {1: 0.2}, [1]), (1000.1, {1: 0.2, 2: 0.2}, [1])):
+            assert control.update(at_radius(make_detections, robots, time_s), []).tolist() == expected
+
+    @pytest.mark.parametrize(("seen_s", "left"), [(0.5, False), (1.9, False), (2.0, True)])
+    def test_releases_unseen_robot_after_dwell_time(self, make_detections, make_report, seen_s, left) -> None:
+        """Another unit holds robot 1, which this unit sees for the last time at `seen_s` and misses at the
+        first image of the next slot: exactly a dwell time later, or earlier.
+        """
+        control = OneUnit()
+        other = make_report(1, [1, 2], [0, 0], [1, 2], secure=[1, 2])
+        control.update(at_radius(make_detections, {1: 0.2, 2: 0.1}, 0.0), [])
+        control.update(at_radius(make_detections, {1: 0.2, 2: 0.1}, seen_s), [other])
+        later = at_radius(make_detections, {2: 0.1}, 4.0 if seen_s >= 2.0 else 2.0)
+        assert control.update(later, [other]).tolist() == ([2] if left else [1, 2])
+
     def test_keeps_robot_until_secured_by_other(self, make_detections, make_report) -> None:
         """The robot is far out or out of view (a missed detection), until a report contains it as secure."""
         control = OneUnit()

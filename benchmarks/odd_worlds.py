@@ -69,7 +69,7 @@ WAY_OUT_SPEED_MPS, WAY_OUT_AFTER_S, WAY_OUT_FOR_S = 0.3, 1.0, 3.0
 """A robot has a way out if it can drive straight at this speed, after this time, for this time. Chosen: half
 of the top speed, the time of a response and a turn, and a way of more than the diameter of a body."""
 
-DURATION_S = {"movers": 140.0, "sheets": 120.0, **dict.fromkeys(FAULTS, 40.0)}
+DURATION_S = {"movers": 140.0, "sheets": 300.0, **dict.fromkeys(FAULTS, 40.0)}
 """Simulated time by world, s. Chosen: a mover at 0.1 m/s has passed the shape, a fault has
 ended, and all robots are told apart although one unit after the other sees them."""
 

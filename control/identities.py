@@ -4,8 +4,8 @@ A robot's marker may exist twice, for example on a spare sheet on the ground. A 
 image which of the two is the robot. The id is then ambiguous: the unit sends no goal for its shape, and both
 places are bodies without identity (`skyherd.control.avoidance.proximity`).
 
-The robot is told apart by motion: it obeys. The unit asks it to turn to the left in place (`Turns`), and the
-marker that turns by `TURNED_RAD` while all others with its id are at rest is the robot (`Copies`). Markers
+The robot is told apart by motion: it obeys. The unit asks it to turn to the left in place (`Turns`). The
+robot is the marker that turns by `TURNED_RAD` while all others with its id are at rest (`Copies`). Markers
 keep their roles from image to image by their places.
 """
 

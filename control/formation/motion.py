@@ -4,9 +4,10 @@ The motion of a similarity moves each point p of the shape with the velocity
 
     ṗ = a (w R + (g + i ω) (p' - c')),
 
-where p' is its template point, c' and R the mean and the RMS radius of all template points, a = s e^{iφ} the
-factor of the similarity in a unit's image, and w, ω and g the rates of `ShapeMotion`. This field does not
-change the shape. Added to the law, it leaves the error's dynamics as they are, while the shape moves.
+where p' is its template point, and c' and R are the mean and the RMS radius of all template points. The
+factor of the similarity in a unit's image is a = s e^{iφ}. The rates of `ShapeMotion` are w, ω and g. This
+field does not change the shape. Added to the law, it leaves the error's dynamics as they are, while the shape
+moves.
 
 A robot drives at k times its goal vector. A unit therefore adds the velocity over k, the *lead*, to the goal.
 Robots that several units control add up their goals, so that each unit adds its part. Neither size nor scale

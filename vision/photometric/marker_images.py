@@ -16,7 +16,7 @@ from skyherd.vision.photometric.refine import START_SIGMA_PX, fit_any_blur
 
 @dataclass(frozen=True)
 class MarkerImages:
-    """How N markers look in an image.
+    """Appearance of N markers in an image.
 
     Attributes:
         blacks: (N,) grey levels of black.

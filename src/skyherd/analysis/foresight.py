@@ -44,8 +44,8 @@ def living_sets(history: History) -> dict[int, IntArray]:
 def foresee(mission: Mission) -> list[str]:
     """Return warnings about a scenario, each a sentence without a full stop.
 
-    They name robots outside all views at the start, markers narrower than `MIN_MARKER_PX`, radio links that
-    the units do not have or may lose, and a duration below the predicted time.
+    They name robots outside all views at the start, and markers narrower than `MIN_MARKER_PX`. They also name
+    missing radio links, links that may break, and a duration below the predicted time.
     """
     history, is_ready = deploy(mission)
     duration = _of_duration(history) if is_ready else []

@@ -374,7 +374,7 @@ class FormationEnv(ParallelEnv[str, Any, npt.NDArray[Any]]):  # type: ignore[mis
         }
 
     def _present(self, call: str) -> Step:
-        """Return the present step, or report that there is none."""
+        """Return the present step. Before the first reset, raise an error."""
         if self._steps is None:
             raise InputError(f"FormationEnv.{call}", "no episode", "reset() first")
         return self._step

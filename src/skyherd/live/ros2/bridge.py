@@ -38,7 +38,7 @@ MAX_LATENCIES = 100_000
 
 @dataclass(frozen=True)
 class BridgeSettings:
-    """What is published, and of which images.
+    """Settings of a bridge: its images and its output.
 
     Attributes:
         camera: address of the camera; see `open_camera`.

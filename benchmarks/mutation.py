@@ -132,6 +132,7 @@ test-command = "{sys.executable} -m pytest -x -q -n 0 -p no:cacheprovider {part.
 name = "local"
 """
     )
+    cosmic_ray("baseline", config, folder=folder)  # the tests must pass before anything is changed
     cosmic_ray("init", config, session, folder=folder)
     with use_db(session, WorkDB.Mode.open) as db:
         items = [item for item in db.work_items if counts(folder, item.mutations[0])]

@@ -8,14 +8,15 @@ report and a flight command. `GoalFollowers` are the robots: they turn received 
 """
 
 from skyherd.control.aerial_controller import AerialController, Decision
+from skyherd.control.avoidance.avoiding_law import avoiding_law
 from skyherd.control.avoidance.detour import Detour
 from skyherd.control.avoidance.neighbor_memory import NeighborMemory
-from skyherd.control.avoidance.proximity import BodyRule
+from skyherd.control.avoidance.proximity import BodyRule, proximity
 from skyherd.control.avoidance.speed_bound import AvoidanceRule
 from skyherd.control.camera_check import CameraRule
 from skyherd.control.flight.keep_in_view import KeepInView
 from skyherd.control.flight.laws import Follow, Hover, Perimeter
-from skyherd.control.formation.assignment import ascend
+from skyherd.control.formation.assignment import ascend, assign, best_assignment
 from skyherd.control.formation.motion import LeadRule, ShapeMotion
 from skyherd.control.formation.roles import RoleRule, newest_roles
 from skyherd.control.formation.schedule import Schedule
@@ -108,6 +109,9 @@ __all__ = [
     "TreeSettings",
     "Wheels",
     "ascend",
+    "assign",
+    "avoiding_law",
+    "best_assignment",
     "check_conditions",
     "control_matrix",
     "desired_points",
@@ -118,6 +122,7 @@ __all__ = [
     "motion_goals",
     "newest_roles",
     "owners_by_robot",
+    "proximity",
     "rectified",
     "robot_commands",
     "slowest_rate",

@@ -140,10 +140,12 @@ class TeamOrders:
     Attributes:
         command: speeds and turn rates of all robots.
         commanded_ids: robots that follow a goal now; the others are stopped by their watchdog.
+        roles: (N,) template row of each robot, if the robots themselves choose their places; None otherwise.
     """
 
     command: VelocityCommand
     commanded_ids: IntArray
+    roles: IntArray | None = None
 
 
 class RobotTeam(Protocol):

@@ -242,8 +242,8 @@ class KeepInView(FlightLaw):
         excess = farthest - self.desired_radius
         if not (self.border_sides and np.isfinite(self._side_px)):
             return excess
-        border = self.border_sides * self._side_px / (seen.image_size_px.min() / 2)
-        return max(excess, farthest + border - 1)
+        side = self._side_px / float(seen.image_size_px.min() / 2)
+        return max(excess, farthest + self.border_sides * side - 1)
 
     @property
     def _room(self) -> float:

@@ -1,6 +1,6 @@
 """Scenario keys `roles`, `size` and `avoidance`: assignment, size of the shape, and collision avoidance."""
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -15,6 +15,11 @@ class RolesModel(Model):
     exchange: bool = Field(
         False,
         description="whether units exchange the robots' places in the shape, for shorter paths",
+    )
+    assigned: Literal["none", "similar", "parallel"] = Field(
+        "none",
+        description="assignment of the places at the start, from the true positions, to the nearest copy of "
+        "the shape: of any turn (similar), or turned as the template (parallel); for comparisons",
     )
     period_s: Positive = Field(
         1.0, description="s; length of the time slot in which one unit at a time exchanges places"
@@ -56,8 +61,8 @@ class AvoidanceModel(Model):
     )
     detour: Detour = Field(
         "around",
-        description="behaviour of a robot whose path is blocked: the best detour, circling the obstacle, or "
-        "stopping",
+        description="behaviour of a robot whose path is blocked: the best detour, circling the obstacle, the "
+        "nearest safe velocity (a control barrier function), or stopping",
     )
     margin_sides: NotNegative = Field(0.2, description="marker sides; gap that is kept between two bodies")
     horizon_sides: Positive = Field(

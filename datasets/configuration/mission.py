@@ -25,7 +25,12 @@ from skyherd.datasets.configuration.marker_layout import make_layout
 from skyherd.datasets.configuration.models import Scenario
 from skyherd.datasets.configuration.obstacles import check_obstacles
 from skyherd.datasets.configuration.robot_models import RobotsModel
-from skyherd.datasets.configuration.start import coincident, start_headings, start_positions
+from skyherd.datasets.configuration.start import (
+    coincident,
+    start_headings,
+    start_positions,
+    with_assigned_roles,
+)
 from skyherd.datasets.configuration.template_image import read_template_image
 from skyherd.datasets.configuration.template_models import ShapeModel
 from skyherd.datasets.configuration.toml_files import apply_settings, built_in_names
@@ -348,6 +353,8 @@ def _team(scenario: Scenario, folder: Path, rng: np.random.Generator) -> _Team:
     with problems.collecting():
         headings_rad = start_headings(scenario.robots, ids.size, rng)
     problems.raise_all()
+    if scenario.roles.assigned != "none":
+        template = with_assigned_roles(template, ids, positions_m, scenario.roles.assigned)
     return _Team(template, later, ids, positions_m, headings_rad)
 
 

@@ -54,6 +54,9 @@ METHODS = (
     "bearing-only",
     "bearings-with-ranges",
     "distances",
+    "angles",
+    "distance-ratios",
+    "mean-shift",
 )
 """Control laws of the robots: skyherd's, and those from the literature (`skyherd.sim.baseline_laws`)."""
 
@@ -77,8 +80,8 @@ class ControlModel(Model):
     )
     told_noise_m: NotNegative = Field(
         0.0,
-        description="m; standard deviation of the error, along x and along y and drawn at each step, of "
-        "the positions that a law other than `similarity` is given",
+        description="m; standard deviation of an additional error of the robots' positions, along x and "
+        "along y and drawn at each step: as units see them, or as a law from the literature is given them",
     )
     gains: Literal["marker", "pixel"] = Field(
         "marker", description="unit of image distances in the law: marker sides, or pixels as in the paper"
@@ -393,7 +396,6 @@ class Scenario(Model):
         """Reject settings that a law from the literature does not support."""
         parts = {
             "roles.exchange": self.roles.exchange,
-            "avoidance.on": self.avoidance.on,
             "template.then": self.template.then,
             "template.motion": self.template.motion,
             "control.gains": self.control.gains == "pixel",
@@ -405,6 +407,15 @@ class Scenario(Model):
             what = f"not supported by control.method {self.control.method}"
             raise join_errors(
                 [InputError(key, what, "leave it out, or use the method similarity") for key in given]
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _one_assignment(self) -> Self:
+        """Reject an assignment of places for one of several shapes."""
+        if self.roles.assigned != "none" and self.template.then:
+            raise InputError(
+                "roles.assigned", f"{self.roles.assigned}, with template.then", "none, or a single shape"
             )
         return self
 

@@ -1,17 +1,22 @@
 """Start of a team: as given, or scattered at random with room for every body."""
 
+from typing import Literal
+
 import numpy as np
 
-from skyherd.control import Template
+from skyherd.control import Template, assign, best_assignment
 from skyherd.datasets.configuration.bodies import Bodies
 from skyherd.datasets.configuration.models import Scenario
 from skyherd.datasets.configuration.robot_models import RobotsModel, ScatterModel
 from skyherd.errors import InputError
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array, IntArray, to_complex, to_points
 
 SCATTER_TRIES = 2000
 """Number of random positions tried for each robot. Chosen: takes a fraction of a second, and fails only for
 starts with almost no room."""
+
+START_ROTATIONS = 24
+"""Start rotations of the search for roles. Chosen: as in `skyherd.control.RoleRule`."""
 
 ROUNDING_M = 1e-9
 """Overlap below which two bodies only touch, m. Chosen: far above the rounding of coordinates, 1e-13 m, and
@@ -39,6 +44,26 @@ def start_positions(scenario: Scenario, ids: IntArray, template: Template, rng: 
         )
     _check_room(scenario, bodies, ids, positions)
     return positions
+
+
+def with_assigned_roles(
+    template: Template, ids: IntArray, positions_m: Array, assigned: Literal["similar", "parallel"]
+) -> Template:
+    """Return the template with its points exchanged, so that the shape is nearest to the robots.
+
+    Args:
+        template: the shape.
+        ids: (N,) the robots.
+        positions_m: (N, 2) their positions.
+        assigned: `similar` to compare all copies of the shape, `parallel` for those without rotation.
+    """
+    robots, points = to_complex(positions_m), template.points_of(ids).conj()
+    alike = np.zeros(ids.size, dtype=np.int64)
+    if assigned == "similar":
+        order = best_assignment(robots, points, alike, starts=START_ROTATIONS)
+    else:
+        order = assign(robots - robots.mean(), points - points.mean(), 1.0, classes=alike)
+    return Template.from_ground_points(ids, to_points(points[order]))
 
 
 def start_headings(robots: RobotsModel, count: int, rng: np.random.Generator) -> Array:

@@ -20,6 +20,7 @@ from skyherd.sim.fused_markers import with_fused_markers
 from skyherd.sim.interventions import Simulation, intervene
 from skyherd.sim.perception import make_run_perception
 from skyherd.sim.physics import make_network, make_world
+from skyherd.sim.position_errors import with_position_errors
 from skyherd.sim.robot_teams import TeamFactory, make_team
 from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.told_apart import with_robots_told_apart
@@ -138,7 +139,8 @@ def run_steps(
     scenario = mission.scenario
     frame_rng = generator(scenario.seed, RunStream.LOST_FRAMES)
     world, observer = make_world(mission), TruthObserver(mission.template, mission.ids)
-    perception = with_fused_markers(perception or make_run_perception(mission), mission)
+    perception = with_position_errors(perception or make_run_perception(mission), mission)
+    perception = with_fused_markers(perception, mission)
     perception = with_robots_told_apart(with_camera_faults(perception, mission), mission)
     network = make_network(scenario, generator(scenario.seed, RunStream.MESSAGES))
     agents, team = UnitAgents(mission, controller_for), team_for(mission, world)
@@ -171,7 +173,8 @@ def run_steps(
             frames[unit] = UnitFrame(sight, decision)
         orders = team.decide(time_s, network.deliver(time_s))
         command = world.limit(orders.command)
-        shape = mission.shape_at(time_s, agents.roles)
+        roles = agents.roles if orders.roles is None else orders.roles
+        shape = mission.shape_at(time_s, roles)
         overruling = yield Step(
             time_s=time_s,
             positions_m=world.positions_m,
@@ -182,7 +185,7 @@ def run_steps(
             commanded_ids=orders.commanded_ids,
             control_sets=dict(agents.sets),
             metrics=observer.observe(world.positions_m, agents.sets, dead, shape),
-            roles=agents.roles,
+            roles=roles,
             interventions=tuple(due),
         )
         if overruling is not None:

@@ -5,6 +5,7 @@ import pytest
 
 from skyherd.control import MarkerGains, Wheels
 from skyherd.datasets import load_mission
+from skyherd.loop import run_steps
 from skyherd.sim.oracle_team import News, OracleTeam
 from skyherd.sim.physics import make_world
 
@@ -71,3 +72,47 @@ def test_robots_without_any_position_stand_still() -> None:
     orders = team.decide(0.0, [])
     assert not orders.command.v_mps.any() and not orders.command.omega_radps.any()
     assert orders.commanded_ids.size == 0
+
+
+def crowded_gap_m(*settings: str) -> tuple[float, float]:
+    """Return the smallest gap between bodies, m, and the final shape error of a law among crowded robots."""
+    mission = load_mission(
+        "crowd",
+        [
+            "control.method=complex-laplacian",
+            "control.k=4.8",
+            "duration_s=50",
+            "perception=ideal",
+            "units.*.frame_rate_hz=0.02",
+            "step_s=0.2",
+            "roles.exchange=false",
+            "size.min_spacing_sides=0",
+            *settings,
+        ],
+    )
+    gaps_m = []
+    for step in run_steps(mission):
+        gaps_m.append(mission.bodies.gaps_m(step.positions_m).min())
+    return min(gaps_m), step.metrics.shape.error
+
+
+def test_avoidance_of_a_law_keeps_bodies_apart() -> None:
+    """Without it the same start has contacts: fixed roles drive robots through each other."""
+    assert crowded_gap_m("avoidance.on=false")[0] < 0
+    for detour in ("around", "nearest"):
+        assert crowded_gap_m("avoidance.on=true", f"avoidance.detour={detour}")[0] >= 0
+
+
+def test_avoidance_without_bodies_nearby_changes_no_command() -> None:
+    """Points that start far apart never come within the horizon of 8 sides less their reach."""
+    far = (
+        "robots.scatter={ scale_m = 40.0, jitter_m = 1.0 }",
+        "robots.body_radius_sides=0.0",
+        "duration_s=4",
+    )
+    near_law = [crowded_gap_m(*far, f"avoidance.on={on}")[1] for on in ("true", "false")]
+    assert near_law[0] == near_law[1]
+
+
+def test_avoidance_under_losses_keeps_bodies_apart() -> None:
+    assert crowded_gap_m("avoidance.on=true", "network.message_loss=0.5", "duration_s=30")[0] >= 0

@@ -159,6 +159,11 @@ class History:
         return np.asarray(np.round(self.positions_m[rows], 3))
 
     @property
+    def largest_set(self) -> int:
+        """Number of robots in the largest control set at the end."""
+        return int(self.controlled[-1].sum(axis=1).max(initial=0))
+
+    @property
     def messages_per_robot_s(self) -> float:
         """Messages per robot and second of the run, as `Traffic` counts them; NaN if unknown."""
         return self.traffic.messages / self.ids.size / self._duration_s
@@ -232,6 +237,7 @@ CURVES = (
     "affine_error",
     "affine_reached_s",
     "min_path_m",
+    "largest_set",
     "waypoints_m",
     "messages_per_robot_s",
     "numbers_per_robot_s",

@@ -1,8 +1,8 @@
 """Robots with a law from the literature, which needs more data than the units' images provide.
 
 The laws of `skyherd.sim.baseline_laws` read true positions from the world. They are outside
-`skyherd.control`, so that control never has access to the truth. Wheels and limits are the same, so that
-`skyherd study methods` can compare the laws.
+`skyherd.control`, so that control never has access to the truth. Wheels, limits and collision avoidance are
+the same, so that `skyherd study methods` can compare the laws.
 """
 
 from collections.abc import Sequence
@@ -10,12 +10,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.control import Delivery, RobotLaw, RobotTeam, TeamOrders, Wheels, wheel_law
+from skyherd.control import (
+    AvoidanceRule,
+    BodyRule,
+    Delivery,
+    NeighborMemory,
+    RobotLaw,
+    RobotTeam,
+    TeamOrders,
+    Wheels,
+    avoiding_law,
+    best_assignment,
+    proximity,
+    wheel_law,
+)
 from skyherd.errors import InputError
-from skyherd.geometry import ComplexArray, to_complex
-from skyherd.messages import TIME_TOLERANCE_S, VelocityCommand
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex, to_points
+from skyherd.messages import TIME_TOLERANCE_S, Detections, VelocityCommand
 from skyherd.sim.baseline_laws import Law
 from skyherd.sim.world import World
+
+START_ROTATIONS = 24
+"""Start rotations of the first search for the roles that robots have taken. Chosen: as in `RoleRule`."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +51,72 @@ class News:
     rng: np.random.Generator
 
 
+@dataclass(frozen=True)
+class Received:
+    """Positions that the robots receive at one time.
+
+    Attributes:
+        positions_m: (N,) positions, with their errors.
+        told: (N,) robots that receive them now.
+        fresh: (N,) robots whose last positions are not stale.
+        time_s: the time.
+    """
+
+    positions_m: ComplexArray
+    told: BoolArray
+    fresh: BoolArray
+    time_s: float
+
+
+class Avoidance:
+    """Collision avoidance of `skyherd.control`, with bodies from the positions that the robots receive.
+
+    Args:
+        world: ground truth, for headings and obstacles.
+        bodies: sizes of the bodies.
+        rule: the robots' own parameters.
+    """
+
+    def __init__(self, world: World, bodies: BodyRule, rule: AvoidanceRule) -> None:
+        self._world, self._bodies, self._rule = world, bodies, rule
+        speed_sides_ps = rule.wheels.max_speed_mps / rule.side_m
+        self._memory = NeighborMemory(
+            world.ids, np.unique(world.markers.ids), rule.lifetime_s, max_speed_sides_ps=speed_sides_ps
+        )
+
+    def command(self, rho: ComplexArray, gains: RobotLaw, received: "Received") -> tuple[Array, Array]:
+        """Return collision-free speeds v (N,), m/s, and ω (N,), rad/s, of robots that follow vectors rho."""
+        seen = self._overhead(received.positions_m, received.time_s)
+        self._memory.receive(proximity(seen, self._world.ids, self._bodies), received.told)
+        v_mps, omega_radps = avoiding_law(
+            rho,
+            gains,
+            memory=self._memory,
+            rule=self._rule,
+            time_s=received.time_s,
+            driven=received.fresh,
+        )
+        v_mps, omega_radps = v_mps * received.fresh, omega_radps * received.fresh
+        self._memory.record_rotation(omega_radps, received.time_s, self._rule.step_s)
+        return v_mps, omega_radps
+
+    def _overhead(self, positions_m: ComplexArray, time_s: float) -> Detections:
+        """Return the bodies as an ideal camera sees them from above, with a pixel per metre and v to -y."""
+        markers, count = self._world.markers, positions_m.size
+        centers = to_points(np.concatenate([positions_m, to_complex(markers.positions_m[count:])]).conj())
+        return Detections(
+            unit_id=0,
+            time_s=time_s,
+            image_size_px=np.ones(2, dtype=np.int64),
+            ids=markers.ids,
+            centers_px=centers,
+            headings_rad=-markers.headings_rad,
+            sides_px=np.full(markers.ids.size, self._rule.side_m),
+            corners_px=np.repeat(centers[:, None], 4, axis=1),
+            covariances=np.zeros((markers.ids.size, 3, 3)),
+        )
+
+
 class OracleTeam(RobotTeam):
     """Team that uses a law instead of `skyherd.control.GoalFollowers`, with the same wheels and wheel law.
 
@@ -44,11 +126,27 @@ class OracleTeam(RobotTeam):
         gains: gains of the robots. A robot that faces its desired velocity drives at that speed.
         wheels: kinematics and limits of the robots.
         news: noise and loss of the positions.
+        avoidance: collision avoidance; None without.
+        free_shape: (N,) shape, if the law has no roles. The team then reports which robot has taken which
+            point of it.
     """
 
-    def __init__(self, world: World, law: Law, gains: RobotLaw, wheels: Wheels, news: News) -> None:
+    def __init__(
+        self,
+        world: World,
+        law: Law,
+        gains: RobotLaw,
+        wheels: Wheels,
+        news: News,
+        *,
+        avoidance: Avoidance | None = None,
+        free_shape: ComplexArray | None = None,
+    ) -> None:
         self._world, self._law, self._gains, self._wheels, self._news = world, law, gains, wheels, news
+        self._avoidance, self._free_shape = avoidance, free_shape
+        self._roles: IntArray | None = None
         self._v_mps, self._omega_radps = np.zeros((2, world.ids.size))
+        self._wanted_mps: ComplexArray = np.zeros(world.ids.size, dtype=np.complex128)
         self._told_s = np.full(world.ids.size, -np.inf)
 
     def decide(self, time_s: float, delivered: Sequence[Delivery]) -> TeamOrders:
@@ -57,18 +155,35 @@ class OracleTeam(RobotTeam):
         Raises:
             InputError: the law does not return a finite velocity for each robot.
         """
-        world, news = self._world, self._news
-        wanted_mps = self._velocities(self._told_positions()) * np.exp(-1j * world.headings_rad)
-        speed_mps = float(self._gains.speed_mps(np.ones(1))[0])
-        v_mps, omega_radps = wheel_law(wanted_mps / speed_mps, self._gains, self._wheels)
+        world, news, positions_m = self._world, self._news, self._told_positions()
         told = np.ones(world.ids.size, dtype=bool)
         if news.loss:
             told = news.rng.random(world.ids.size) >= news.loss
         self._told_s[told] = time_s
         fresh = self._told_s >= time_s - news.lifetime_s - TIME_TOLERANCE_S
-        self._v_mps = np.where(told, v_mps, self._v_mps) * fresh
-        self._omega_radps = np.where(told, omega_radps, self._omega_radps) * fresh
-        return TeamOrders(VelocityCommand(world.ids, self._v_mps, self._omega_radps), world.ids[fresh])
+        self._wanted_mps = np.where(told, self._velocities(positions_m), self._wanted_mps) * fresh
+        rho = self._wanted_mps * np.exp(-1j * world.headings_rad)
+        rho /= float(self._gains.speed_mps(np.ones(1))[0])
+        if self._avoidance is None:
+            v_mps, omega_radps = wheel_law(rho, self._gains, self._wheels)
+            self._v_mps = np.where(told, v_mps, self._v_mps) * fresh
+            self._omega_radps = np.where(told, omega_radps, self._omega_radps) * fresh
+        else:
+            received = Received(positions_m, told, fresh, time_s)
+            self._v_mps, self._omega_radps = self._avoidance.command(rho, self._gains, received)
+        command = VelocityCommand(world.ids, self._v_mps, self._omega_radps)
+        return TeamOrders(command, world.ids[fresh], self._taken_roles())
+
+    def _taken_roles(self) -> IntArray | None:
+        """Return the template row (N,) of each robot, by the true positions; None for fixed roles."""
+        if self._free_shape is None:
+            return None
+        places_m, first = to_complex(self._world.positions_m), self._roles is None
+        roles = np.arange(places_m.size) if self._roles is None else self._roles
+        alike = np.zeros(places_m.size, dtype=np.int64)
+        starts = START_ROTATIONS if first else 0
+        self._roles = roles[best_assignment(places_m, self._free_shape[roles], alike, starts=starts)]
+        return self._roles
 
     def _told_positions(self) -> ComplexArray:
         positions_m = to_complex(self._world.positions_m)

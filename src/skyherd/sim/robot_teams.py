@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skyherd.assembly import make_body_rule
 from skyherd.control import (
     AvoidanceRule,
     CameraRule,
@@ -27,7 +28,7 @@ from skyherd.geometry import ComplexArray
 from skyherd.random_streams import RunStream, generator
 from skyherd.sim.baseline_laws import find_law
 from skyherd.sim.delays import max_message_delay_s, min_message_delay_s, whole_steps
-from skyherd.sim.oracle_team import News, OracleTeam
+from skyherd.sim.oracle_team import Avoidance, News, OracleTeam
 from skyherd.sim.physics import make_robot_clocks
 from skyherd.sim.world import World
 
@@ -91,7 +92,39 @@ def _make_oracle_team(mission: Mission, world: World, gains: RobotLaw, wheels: W
         lifetime_s=scenario.robots.timeout_s,
         rng=generator(scenario.seed, RunStream.REPORTED_POSITIONS),
     )
-    return OracleTeam(world, found.make(shape_m(mission), scenario.control.k), gains, wheels, news)
+    shape = shape_m(mission)
+    return OracleTeam(
+        world,
+        found.make(shape, scenario.control.k),
+        gains,
+        wheels,
+        news,
+        avoidance=_make_oracle_avoidance(scenario, world),
+        free_shape=shape if found.has_free_roles else None,
+    )
+
+
+def _make_oracle_avoidance(scenario: Scenario, world: World) -> Avoidance | None:
+    """Make the avoidance of robots that receive positions at each step; None if it is off."""
+    bodies = make_body_rule(scenario.avoidance, scenario.robots.body_radius_sides, scenario.obstacles)
+    if bodies is None:
+        return None
+    step_s = scenario.step_s
+    timing = Timing(
+        nominal_age_s=0.0,
+        superseded_age_s=step_s,
+        step_s=step_s,
+        delay_s=whole_steps(scenario.robots.drive.delay_s, step_s),
+        clock_margin_s=0.0,
+    )
+    rule = make_avoidance_rule(
+        scenario.avoidance,
+        scenario.robots.drive,
+        make_wheels(scenario),
+        side_m=scenario.marker.side_m,
+        timing=timing,
+    )
+    return Avoidance(world, bodies, rule)
 
 
 def shape_m(mission: Mission) -> ComplexArray:

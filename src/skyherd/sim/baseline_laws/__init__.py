@@ -7,8 +7,9 @@ shape, the fastest mode decays at the rate k, as with one unit's goals
 instability in discrete time.
 
 Each family has one file: `laplacians.py` (complex and matrix-weighted Laplacians), `affine.py` (affine
-formations), `bearings.py` (with and without ranges), `distances.py` (rigid frameworks). `graphs.py` contains
-the choice of neighbours, which the papers leave open, and `registry.py` the laws by name.
+formations), `bearings.py` (with and without ranges), `distances.py` (rigid frameworks),
+`angles_and_ratios.py` (angles, or ratios of distances), `mean_shift.py` (robots without roles). `graphs.py`
+contains the choice of neighbours, which the papers leave open, and `registry.py` the laws by name.
 """
 
 from skyherd.sim.baseline_laws.graphs import Law

@@ -3,14 +3,18 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from skyherd.datasets import OWN_METHOD
 from skyherd.geometry import ComplexArray, IntArray
 from skyherd.plugins import import_factory
 from skyherd.sim.baseline_laws.affine import affine_modules_law, affine_stress_law
+from skyherd.sim.baseline_laws.angles_and_ratios import angle_law, distance_ratio_law
 from skyherd.sim.baseline_laws.bearings import bearing_only_law, bearings_with_ranges_law
 from skyherd.sim.baseline_laws.distances import distance_law
 from skyherd.sim.baseline_laws.graphs import Law, both_ways, modules, neighbors, within
 from skyherd.sim.baseline_laws.laplacians import complex_laplacian_law, follower_links, matrix_weighted_law
+from skyherd.sim.baseline_laws.mean_shift import mean_shift_law
 
 
 @dataclass(frozen=True)
@@ -24,12 +28,14 @@ class BaselineLaw:
             instant. None for a user-defined law, whose links are unknown.
         numbers: how many numbers a robot needs per link at every instant.
         needs_size: True if the law needs the size of the shape.
+        has_free_roles: True if robots have no places of their own in the shape.
     """
 
     make: Callable[[ComplexArray, float], Law]
     links: Callable[[ComplexArray], IntArray] | None = None
     numbers: int = 0
     needs_size: bool = False
+    has_free_roles: bool = False
 
 
 def _between_neighbors(shape: ComplexArray) -> IntArray:
@@ -40,6 +46,10 @@ def _within_modules(shape: ComplexArray) -> IntArray:
     return within(modules(shape))
 
 
+def _between_all(shape: ComplexArray) -> IntArray:
+    return within(np.arange(shape.size)[None])
+
+
 LAWS: Mapping[str, BaselineLaw] = {
     "complex-laplacian": BaselineLaw(complex_laplacian_law, _between_neighbors, 2),
     "matrix-weighted": BaselineLaw(matrix_weighted_law, follower_links, 2),
@@ -48,6 +58,9 @@ LAWS: Mapping[str, BaselineLaw] = {
     "bearing-only": BaselineLaw(bearing_only_law, _between_neighbors, 1),
     "bearings-with-ranges": BaselineLaw(bearings_with_ranges_law, _between_neighbors, 2),
     "distances": BaselineLaw(distance_law, _between_neighbors, 2, needs_size=True),
+    "angles": BaselineLaw(angle_law, _between_neighbors, 2),
+    "distance-ratios": BaselineLaw(distance_ratio_law, _between_neighbors, 3),
+    "mean-shift": BaselineLaw(mean_shift_law, _between_all, 2, needs_size=True, has_free_roles=True),
 }
 """Laws from the literature by the names of `control.method`: all `skyherd.datasets.METHODS` except the first,
 which is skyherd's own."""

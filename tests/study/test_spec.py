@@ -142,7 +142,7 @@ def test_documented_example_is_valid(write_study: Any) -> None:
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 STUDIES = [
     *study_names(),
-    *(str(BENCHMARKS / name) for name in ("ablation.toml", "equal_noise.toml", "gains.toml")),
+    *(str(BENCHMARKS / name) for name in ("ablation.toml", "gains.toml")),
 ]
 """Studies that users run, and those that measure the project."""
 

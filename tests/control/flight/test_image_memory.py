@@ -133,3 +133,15 @@ def test_image_memory_places_units_through_chain(make_detections, make_report, f
     np.testing.assert_allclose(known_points(memory, ids[:8]), ours(ground[:8]), rtol=0, atol=1e-8)
     assert not memory.known[8]
     assert set(memory.centers_px) == {1, 2}
+
+
+def test_two_robots_determine_own_motion_and_one_does_not(make_detections) -> None:
+    """The unit moves by 30 px; robots 12 to 18 leave the view, and only two, or one, of the known remain."""
+    _, ground, (ours, _), template = scene(3)
+    for remaining, moves in ((2, True), (1, False)):
+        memory = ImageMemory(template)
+        memory.update(make_detections(template.ids, ours(ground)), [])
+        ids = template.ids[:remaining]
+        memory.update(make_detections(ids, ours(ground[:remaining]) + 30, time_s=1.0), [])
+        moved = known_points(memory, template.ids[2:]) - ours(ground[2:])
+        np.testing.assert_allclose(moved, 30.0 if moves else 0.0, rtol=0, atol=ROUNDING_PX)

@@ -199,7 +199,48 @@ def test_unit_without_detections_climbs(make_detections) -> None:
     command = KeepInView(TEMPLATE, desired_radius=0.75).command(
         seen, FlightTask(np.array([], dtype=np.int64)), []
     )
-    assert command.climb_mps > 0 and not command.lateral_mps.any()
+    assert command.climb_mps == 0.5 and not command.lateral_mps.any()
+    assert command.yaw_rate_radps == 0
+
+
+def test_unit_that_searches_climbs_by_half_radius(make_detections) -> None:
+    """The set is within its radius, so that only the search makes the unit climb; it never turns."""
+    seen = view_of(make_detections, [0.75, 0.1, -0.2j], sides=[40.0] * 3)
+    flight = KeepInView(TEMPLATE, desired_radius=0.75, climb_gain_mps=2.0, zoom_gain_ps=0.3)
+    command = flight.command(seen, FlightTask(seen.ids, widen=True), [])
+    assert command.climb_mps == pytest.approx(2.0 * 0.75 / 2)
+    assert command.zoom_rate_ps == pytest.approx(-0.3 * 0.75 / 2)
+    assert command.yaw_rate_radps == 0
+
+
+def test_unit_with_room_to_climb_does_not_patrol(make_detections) -> None:
+    """The set exceeds the radius by more than the unit may climb, but it may still climb by 20 %.
+
+    At the ceiling, the negative control, it flies to the robot seen longest ago.
+    """
+    for side_px, patrols in ((14.4, False), (12.0, True)):
+        flight = KeepInView(TEMPLATE, desired_radius=0.5, separation_sides=0.0)
+        seen = view_of(make_detections, [0.95, -0.9, 0.9j], sides=[side_px] * 3)
+        command = flight.command(seen, FlightTask(seen.ids), [])
+        middle = [(0.95 - 0.9) / 2, 0.45]
+        assert np.allclose(command.lateral_mps, middle, atol=1e-9) != patrols
+
+
+def test_patrol_observes_each_robot_for_stated_time(make_detections) -> None:
+    """An image every 0.5 s shows the robot that is observed, and three others of another unit.
+
+    The unit goes on to the next robot once it has seen one for 2 s, four intervals.
+    """
+    flight = KeepInView(TEMPLATE, desired_radius=0.3, separation_sides=0.0, patrol_s=2.0)
+    points = np.array([0.9, -0.9, 0.9j, 0.1, 0.1j, -0.1])
+    targets = []
+    for tick in range(20):
+        ids = [targets[-1], 3, 4, 5] if targets else [0, 1, 2, 3, 4, 5]
+        seen = view_of(make_detections, points[ids], ids, time_s=0.5 * tick, sides=[12.0] * len(ids))
+        lateral = complex(*flight.command(seen, FlightTask(np.arange(3)), []).lateral_mps)
+        targets.append(int(np.argmin(np.abs(points[:3] - lateral))))
+    assert np.flatnonzero(np.diff(targets)).tolist() == [3, 7, 11, 15]
+    assert len(set(targets)) == 3
 
 
 def fly_below_a_ceiling(make_detections, seconds, *, is_known=True, **settings):
@@ -319,6 +360,20 @@ class TestLearnedCeiling:
                 height += 0.2 * command.climb_mps * (tick < 2)
             assert flight.ceiling.side_px == 0
         assert height > 6.0
+
+    @pytest.mark.parametrize("pause_s", [0.5, 0.9])
+    def test_short_pauses_teach_no_ceiling(self, make_detections, pause_s) -> None:
+        """Of a pause counts as much as 1.5 image periods, here 0.15 s, since the unit may have held.
+
+        The unit climbs for one period of 0.1 s in each pause: less than 1 m in all, in more than 2 s.
+        """
+        flight = KeepInView(TEMPLATE, min_side_px=0.0)
+        points, time_s = 0.95 * np.exp(2j * np.pi * np.arange(8) / 8), 0.0
+        for tick in range(16):
+            time_s += 0.1 if tick % 2 else pause_s
+            seen = view_of(make_detections, points, time_s=time_s, sides=np.full(8, 80.0))
+            flight.command(seen, FlightTask(TEMPLATE.ids, TEMPLATE.ids, widen=True), [])
+            assert flight.ceiling.side_px == 0
 
     def test_hovering_teaches_no_ceiling(self, make_detections) -> None:
         """Without a commanded climb an unchanged scale shows nothing."""

@@ -363,6 +363,13 @@ class TestPerimeter:
         assert abs(command.lateral_mps[1]) == pytest.approx(0.2, abs=1e-9)
         assert command.climb_mps == pytest.approx(abs(0.7 + 0.5j) - 0.7, abs=1e-9)
 
+    def test_descends_to_small_hull(self, make_detections) -> None:
+        """The farthest robot is 0.3 nearer than the desired radius."""
+        points = 399.5 + 399.5j + 400 * np.array([0.4, -0.2 + 0.1j, -0.2 - 0.1j])
+        seen = make_detections([1, 2, 3], points)
+        command = Perimeter(0.7, climb_gain_mps=2.0).command(seen, FlightTask(seen.ids), [])
+        assert command.climb_mps == pytest.approx(-0.6, abs=1e-9)
+
     def test_circles_hull_in_one_sense(self, make_detections) -> None:
         """In a simple world the unit circles the robots' hull: the angle about their centre is monotonic."""
         robots = np.array([2 + 0j, 1.5j, -2 + 0j, -1.5j])

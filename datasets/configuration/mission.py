@@ -35,6 +35,7 @@ from skyherd.datasets.configuration.template_image import read_template_image
 from skyherd.datasets.configuration.template_models import ShapeModel
 from skyherd.datasets.configuration.toml_files import apply_settings, built_in_names
 from skyherd.datasets.configuration.validation import MAX_SHOWN, check_tree, locate
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.datasets.shapes.shapes import shape_outline, shape_points
 from skyherd.errors import DegenerateSetError, InputError, ProblemCollector, join_errors
 from skyherd.files.images import Grey, read_grey
@@ -43,7 +44,6 @@ from skyherd.markers.dictionary import dictionary_size
 from skyherd.markers.layout import MarkerLayout
 from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.messages.checks import check_kind
-from skyherd.random_streams import RunStream, generator
 from skyherd.render import Camera
 from skyherd.text import shorten
 from skyherd.vision import check_detector_name, load_accuracy

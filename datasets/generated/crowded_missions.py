@@ -14,8 +14,8 @@ from skyherd.datasets.generated.random_missions import (
     make_tree,
     random_camera,
 )
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.geometry import Array, BoolArray, ComplexArray, to_points
-from skyherd.random_streams import RunStream, generator
 
 START_SPACING = 2.5
 """Minimum distance between two robots' centres at the start, marker sides. Chosen: a gap of half a side

@@ -11,10 +11,10 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import pdist
 
 from skyherd.control import fit_similarity
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.datasets.shapes.shapes import shape_points
 from skyherd.geometry import Array, ComplexArray, to_complex, to_points
 from skyherd.messages.checks import check_kind
-from skyherd.random_streams import RunStream, generator
 
 SIDE_M = 0.2
 """Marker side, m. Chosen: that of a small ground robot. Positions and spacings are multiples of it."""

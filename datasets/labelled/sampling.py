@@ -20,9 +20,9 @@ from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.scene_specs import OccludersSpec
 from skyherd.datasets.labelled.scenes import Scene, Station, corners_m
 from skyherd.datasets.labelled.spec import DatasetSpec
+from skyherd.datasets.random_streams import LabelledSetStream, generator
 from skyherd.geometry import Array, BoolArray, IntArray, apply_homography, inverse
 from skyherd.markers.dictionary import card_side, dictionary_size
-from skyherd.random_streams import LabelledSetStream, generator
 from skyherd.render import Camera, CameraPose, Motion, homography_image_ground, project, undistort
 
 EXPOSURE_S = 0.01

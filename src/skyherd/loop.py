@@ -9,11 +9,11 @@ import numpy as np
 
 from skyherd.control import Decision
 from skyherd.datasets import Intervention, Mission, Scenario
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.geometry import IntArray
 from skyherd.messages import TIME_TOLERANCE_S, FlightCommand, VelocityCommand
 from skyherd.messages.checks import check_kind
 from skyherd.messages.short_repr import short_repr
-from skyherd.random_streams import RunStream, generator
 from skyherd.sim.agents import ControllerFactory, UnitAgents, make_controller
 from skyherd.sim.faulty_cameras import with_camera_faults
 from skyherd.sim.fused_markers import with_fused_markers

@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from skyherd.datasets import make_mission
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.errors import InputError
 from skyherd.geometry import wrap_angle
 from skyherd.messages import VelocityCommand
-from skyherd.random_streams import RunStream, generator
 from skyherd.sim.drive import SLIP_TIME_S, Drive, DriveParameters, body_rates, wheel_speeds
 from skyherd.sim.physics import make_drive, make_world
 from skyherd.sim.world import move_bodies, move_unicycles

@@ -15,6 +15,7 @@ from skyherd.analysis.history import make_history
 from skyherd.analysis.summary import summarize
 from skyherd.control import GoalFollowers, RobotTeam
 from skyherd.datasets import Mission, apply_settings, make_mission, read_scenario
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.environments.actions import ACTORS, Actor
 from skyherd.environments.knowledge import Cast, Knowledge
 from skyherd.environments.observations import ObservationOptions, Observer, make_observer
@@ -25,7 +26,6 @@ from skyherd.geometry import RgbImage
 from skyherd.loop import Overruling, Step, run_steps
 from skyherd.messages import TIME_TOLERANCE_S, VelocityCommand
 from skyherd.messages.checks import check_count, check_flags, check_kind, shown
-from skyherd.random_streams import RunStream, generator
 from skyherd.sim.robot_teams import make_team, make_wheels
 from skyherd.sim.world import World
 from skyherd.text import one_of

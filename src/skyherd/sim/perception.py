@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.datasets import Mission
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.errors import InputError
 from skyherd.geometry import ROBOT_FRAME_CORNERS, BoolArray, Image, apply_homography, to_points
 from skyherd.markers.dictionary import card_side
 from skyherd.messages import Detections, among
-from skyherd.random_streams import RunStream, generator
 from skyherd.render import FrameTruth, Motion, Quad, Renderer, Shot, Shutter, shadows
 from skyherd.sim.projected_perception import ProjectedPerception
 from skyherd.sim.sight import Perception, Sight

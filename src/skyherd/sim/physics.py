@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 
 from skyherd.datasets import Mission, Scenario
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.geometry import Array
-from skyherd.random_streams import RunStream, generator
 from skyherd.sim.drive import Drive, DriveParameters
 from skyherd.sim.network import Network
 from skyherd.sim.sway import Sway

@@ -6,7 +6,7 @@ from copy import copy
 import numpy as np
 
 from skyherd.datasets import Mission
-from skyherd.random_streams import RunStream, generator
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
 

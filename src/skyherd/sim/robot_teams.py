@@ -23,9 +23,9 @@ from skyherd.control import (
     Wheels,
 )
 from skyherd.datasets import AvoidanceModel, Mission, Scenario, WheelsModel
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.errors import InputError
 from skyherd.geometry import ComplexArray
-from skyherd.random_streams import RunStream, generator
 from skyherd.sim.baseline_laws import find_law
 from skyherd.sim.delays import max_message_delay_s, min_message_delay_s, whole_steps
 from skyherd.sim.oracle_team import Avoidance, News, OracleTeam

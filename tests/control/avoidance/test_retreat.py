@@ -13,9 +13,9 @@ from skyherd.control.avoidance.make_way import YIELD_SIDES, yielding_sides
 from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.retreat import CLEAR_SIDES, retreat
 from skyherd.control.avoidance.speed_bound import Bounds, closing_bounds
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.geometry import to_complex, to_points
 from skyherd.messages import ANONYMOUS_ID, BORDER_IDS, Proximity, VelocityCommand
-from skyherd.random_streams import RunStream, generator
 from skyherd.sim.drive import Drive, DriveParameters
 from skyherd.sim.world import move_bodies
 

@@ -11,9 +11,9 @@ from skyherd.control.avoidance.detour import around, gyroscopic
 from skyherd.control.avoidance.proximity import proximity
 from skyherd.control.avoidance.speed_bound import Bounds, closing_bounds, slowed
 from skyherd.control.robots.unicycle import wheel_law
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.geometry import to_complex, to_points, wrap_angle
 from skyherd.messages import BORDER_IDS, Proximity, VelocityCommand
-from skyherd.random_streams import RunStream, generator
 from skyherd.sim.drive import Drive, DriveParameters
 from skyherd.sim.world import move_bodies
 

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from skyherd.datasets import Mission
+from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.geometry import Image
 from skyherd.live.live_clock import LiveClock
 from skyherd.live.mailbox import Mailbox, Radio
 from skyherd.live.wire import Wheels
 from skyherd.live.world.camera_stream import CameraStream
 from skyherd.messages import FlightCommand, VelocityCommand
-from skyherd.random_streams import RunStream, generator
 from skyherd.recording.mcap_log import McapLog, Schema
 from skyherd.render import Shot
 from skyherd.sim.perception import make_renderer

@@ -94,7 +94,8 @@ def copy_package(folder: Path) -> None:
     shutil.copytree(ROOT / "src" / "skyherd", folder / "skyherd")
     for name in ("vision", "control", "render", "datasets"):
         shutil.copytree(ROOT / name, folder / "skyherd" / name)
-    shutil.copytree(ROOT / "tests", folder / "tests")
+    for name in ("tests", "benchmarks"):
+        shutil.copytree(ROOT / name, folder / name)
     shutil.copy(ROOT / "pyproject.toml", folder)
 
 

@@ -15,8 +15,11 @@ from skyherd.study.spec import load_study
 from skyherd.study.table import read_table
 
 OURS = "skyherd"
-AFFINE = ("affine, modules", "affine, stress")
-"""Methods that promise an affine image of the shape and no more."""
+AFFINE = "affine"
+"""Begin of the names of methods that promise an affine image of the shape and no more."""
+
+EQUAL = ", equal"
+"""End of the names of methods with the roles and the avoidance of skyherd."""
 
 SIDE_M, BODY_M, MARGIN_M = 0.4, 0.4, 0.08
 """Side of a marker, radius of a robot's body and margin of the avoidance, m, in every task of the study."""
@@ -40,17 +43,23 @@ def formed_rows(methods: list[Method], tasks: list[str]) -> list[list[str]]:
     rows = []
     for one in methods:
         rows.append([one.name, *(formed(one.outcomes[task]) for task in tasks)])
-        if one.name in AFFINE:
+        if one.name.startswith(AFFINE):
             rows.append([f"{one.name}: affine image", *(image_formed(one.outcomes[task]) for task in tasks)])
     return rows
 
 
 def time(method: Method, runs: Outcomes) -> str:
     """Return the median time from the start, s, of the starts that formed what the method promises."""
-    promised = method.name in AFFINE
+    promised = method.name.startswith(AFFINE)
     if not (runs.affine if promised else runs.converged).any():
         return "–"
     return f"{median(runs.begun_s + (runs.affine_times_s if promised else runs.times_s)):.3g}"
+
+
+def end_error(method: Method, runs: Outcomes) -> str:
+    """Return the median error at the end, %, of the shape or of its affine image."""
+    errors = runs.affine_errors if method.name.startswith(AFFINE) else runs.errors
+    return f"{100 * median(errors):.2g}"
 
 
 def path_ratio(runs: Outcomes) -> str:
@@ -94,6 +103,16 @@ def still(row: dict[str, Any]) -> list[int]:
     return [int(robot) for robot in np.flatnonzero(farthest_m < MOVED_M)]
 
 
+def print_sets(rows: list[dict[str, Any]], ours: list[Method], tasks: list[str]) -> None:
+    """Print the median size of the largest control set at the end, per variant of skyherd and task."""
+    sizes = {(one.name, task): [] for one in ours for task in tasks}
+    for row in rows:
+        if (row["sweep"], row["task"]) in sizes:
+            sizes[row["sweep"], row["task"]].append(row["history.largest_set"])
+    medians = [[one.name, *(f"{np.median(sizes[one.name, task]):.0f}" for task in tasks)] for one in ours]
+    print_table(tasks, medians)
+
+
 def print_failures(rows: list[dict[str, Any]]) -> None:
     """Print the failed runs, and the runs that formed by whether they began inside the margin."""
     for row in rows:
@@ -113,11 +132,19 @@ def main(folder: Path) -> None:
     """Print the figures of docs/methods.md that the tables of the study do not have."""
     study, table = load_study("methods"), read_table(folder)
     methods, tasks = make_methods(study, table), [task.name for task in study.spec.tasks]
-    print_table(tasks, formed_rows(methods, tasks))
-    print_table(tasks, [[one.name, *(time(one, one.outcomes[task]) for task in tasks)] for one in methods])
-    for value in path_ratio, collided:
-        print_table(tasks, [[one.name, *(value(one.outcomes[task]) for task in tasks)] for one in methods])
+    ours = [one for one in methods if one.name.startswith(OURS)]
+    equal = [one for one in methods if one.name.endswith(EQUAL)]
+    plain = [one for one in methods if one not in (*ours, *equal)]
+    for group in ours, plain, [ours[0], *equal]:
+        print_table(tasks, formed_rows(group, tasks))
+        for value in time, end_error:
+            print_table(
+                tasks, [[one.name, *(value(one, one.outcomes[task]) for task in tasks)] for one in group]
+            )
+        for count in path_ratio, collided:
+            print_table(tasks, [[one.name, *(count(one.outcomes[task]) for task in tasks)] for one in group])
     print_table(["numbers"], [[one.name, numbers(one)] for one in methods])
+    print_sets(table.to_pylist(), ours, tasks)
     print_failures([row for row in table.to_pylist() if row["sweep"] == OURS])
 
 

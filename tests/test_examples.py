@@ -71,3 +71,16 @@ def test_policy_before_learning_forms_the_shape_like_the_law():
     ]
     still = example.episode(env, 1, lambda seen, infos: {agent: np.zeros(2) for agent in seen})
     assert scores[1] > still + 0.8 * (scores[0] - still)
+
+
+def test_survey_example_can_be_surveyed(tmp_path):
+    """The first two pictures show all six markers, the third five; the calibration is that of the camera."""
+    from skyherd.poses import read_calibration
+    from skyherd.survey import survey, take_views
+
+    load("survey_pictures").main(tmp_path)
+    pictures = sorted(tmp_path.glob("view*.png"))
+    views = take_views(pictures, [str(tmp_path / "camera.yaml")], dictionary="4X4_50")
+    assert [view.ids.tolist() for view in views] == [list(range(6))] * 2 + [[0, 1, 2, 3, 5]]
+    assert read_calibration(str(tmp_path / "camera.yaml")).matrix[0, 0] == 900.0
+    assert survey(views, 0.1, coplanar=True).frame.consistent

@@ -4,8 +4,8 @@ A verb's file imports typer, the standard library and its neighbours here at its
 inside the function that calls it: help and completion then answer at once, and a verb loads what it uses.
 
 Exit codes: 0 done; 1 the run did not reach its goal, `detect --require` found a file without a marker, of
-`study` a run failed, `dataset check` found a problem, or `topology` a violated condition; 2 bad input or
-output; 130 interrupted.
+`study` a run failed, `dataset check` found a problem, `topology` a violated condition, or `survey` a
+contradiction; 2 bad input or output; 130 interrupted.
 """
 
 import io
@@ -36,6 +36,7 @@ from skyherd.cli.ros2 import ros2
 from skyherd.cli.run import run
 from skyherd.cli.scenario import scenario_app
 from skyherd.cli.study import study
+from skyherd.cli.survey import survey
 from skyherd.cli.topology import topology
 from skyherd.cli.track import track
 from skyherd.cli.view import view
@@ -76,6 +77,7 @@ app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(topology)
 app.command(cls=HelpCommand, rich_help_panel=SIMULATE)(study)
 app.command(cls=HelpCommand, rich_help_panel=MEASURE)(detect)
 app.command(cls=HelpCommand, rich_help_panel=MEASURE)(track)
+app.command(cls=HelpCommand, rich_help_panel=MEASURE)(survey)
 app.command(cls=HelpCommand, rich_help_panel=MEASURE)(markers)
 app.add_typer(bench_app, name="bench", cls=HelpGroup, rich_help_panel=MEASURE)
 app.add_typer(

@@ -76,8 +76,8 @@ class Layout:
         return left + column * (self.card_mm + GAP_MM), top - tall - row * (tall + GAP_MM)
 
 
-def parse_ids(text: str, dictionary: str) -> list[int]:
-    """Parse ids such as `0-15,20`: each once, in the given order.
+def parse_ids(text: str, dictionary: str, where: str = "--ids") -> list[int]:
+    """Parse ids such as `0-15,20`: each once, in the given order. `where` is the option's name in errors.
 
     Raises:
         InputError: the text is not a list of ids, or an id is not in the dictionary.
@@ -87,14 +87,12 @@ def parse_ids(text: str, dictionary: str) -> list[int]:
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d{1,9})\s*(?:-\s*(\d{1,9})\s*)?", part)
         if match is None:
-            raise InputError("--ids", f"{part.strip()!r} in {text!r}", "ids and ranges such as 0-15,20")
+            raise InputError(where, f"{part.strip()!r} in {text!r}", "ids and ranges such as 0-15,20")
         first, end = int(match[1]), int(match[2] or match[1])
         if end < first:
-            raise InputError("--ids", f"{part.strip()!r} runs backwards", f"write {end}-{first}")
+            raise InputError(where, f"{part.strip()!r} runs backwards", f"write {end}-{first}")
         if end > last:
-            raise InputError(
-                "--ids", f"{end} is not in {dictionary}", f"0 to {last}, or a larger --dictionary"
-            )
+            raise InputError(where, f"{end} is not in {dictionary}", f"0 to {last}, or a larger --dictionary")
         ids.update(dict.fromkeys(range(first, end + 1)))
     return list(ids)
 

@@ -103,6 +103,14 @@ def test_avoidance_of_a_law_keeps_bodies_apart() -> None:
         assert crowded_gap_m("avoidance.on=true", f"avoidance.detour={detour}")[0] >= 0
 
 
+def test_avoidance_of_a_law_keeps_bodies_and_obstacles_apart() -> None:
+    obstacles = "obstacles=[{ id = 40, position_m = [0.0, 0.6] }, { id = 41, position_m = [-0.55, -0.35] }]"
+    scatter = "robots.scatter={ scale_m = 2.6, jitter_m = 1.2, spacing_m = 0.9, rotation_deg = 20.0 }"
+    task = (obstacles, scatter, "duration_s=20")
+    assert crowded_gap_m("avoidance.on=false", *task)[0] < 0
+    assert crowded_gap_m("avoidance.on=true", "roles.assigned=similar", *task)[0] >= 0
+
+
 def test_avoidance_without_bodies_nearby_changes_no_command() -> None:
     """Points that start far apart never come within the horizon of 8 sides less their reach."""
     far = (

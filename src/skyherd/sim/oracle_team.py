@@ -87,7 +87,8 @@ class Avoidance:
     def command(self, rho: ComplexArray, gains: RobotLaw, received: "Received") -> tuple[Array, Array]:
         """Return collision-free speeds v (N,), m/s, and ω (N,), rad/s, of robots that follow vectors rho."""
         seen = self._overhead(received.positions_m, received.time_s)
-        self._memory.receive(proximity(seen, self._world.ids, self._bodies), received.told)
+        message = proximity(seen, self._world.ids, self._bodies)
+        self._memory.receive(message, np.isin(message.ids, self._world.ids[received.told]))
         v_mps, omega_radps = avoiding_law(
             rho,
             gains,

@@ -26,6 +26,7 @@ import psutil
 from skyherd.cli import main
 from skyherd.study.store import Store
 
+signal.signal(signal.SIGINT, signal.default_int_handler)
 append, parts, at_part = Store.append, [], {at_part}
 
 def kill_worker():
@@ -42,7 +43,8 @@ def append_and_act(self, outcomes):
 Store.append = append_and_act
 main()
 """
-"""Program that acts right after a part was written, in the middle of the study on any machine."""
+"""Program that acts right after a part was written, in the middle of the study on any machine. A process that a
+shell started in the background ignores SIGINT, and so do its children; the program does not."""
 
 
 def start(path: Path, out: Path, *options: str, **at_part: str) -> subprocess.Popen[str]:

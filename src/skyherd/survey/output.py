@@ -17,8 +17,17 @@ from skyherd.survey.measure import CameraPose, MarkerPose, Survey
 from skyherd.survey.plan import draw_plan
 from skyherd.text import table_cell
 
-MARKERS, CAMERAS, FRAME, PLAN = "markers.csv", "cameras.csv", "frame.json", "plan.png"
-"""Names of the files."""
+MARKERS = "markers.csv"
+"""File of the markers' poses, a row each."""
+
+CAMERAS = "cameras.csv"
+"""File of the cameras' poses, a row each."""
+
+FRAME = "frame.json"
+"""File of all poses in full precision, with their joint covariance."""
+
+PLAN = "plan.png"
+"""File of the plan."""
 
 VERB = "survey"
 """Verb under which the folder's record lists the files."""

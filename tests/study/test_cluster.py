@@ -43,8 +43,8 @@ def append_and_act(self, outcomes):
 Store.append = append_and_act
 main()
 """
-"""Program that acts right after a part was written, in the middle of the study on any machine. A process that a
-shell started in the background ignores SIGINT, and so do its children; the program does not."""
+"""Program that acts right after a part was written, in the middle of the study on any machine. It heeds
+SIGINT, which processes ignore that a shell started in the background, and their children."""
 
 
 def start(path: Path, out: Path, *options: str, **at_part: str) -> subprocess.Popen[str]:

@@ -63,6 +63,9 @@ METHODS = (
 OWN_METHOD = ":"
 """Separator in the name of a user-defined law, `module:factory`."""
 
+MOVING_METHOD = "complex-laplacian"
+"""The one law from the literature that can move the shape."""
+
 
 def _check_method(method: str) -> str:
     if method not in METHODS and OWN_METHOD not in method:
@@ -397,7 +400,7 @@ class Scenario(Model):
         parts = {
             "roles.exchange": self.roles.exchange,
             "template.then": self.template.then,
-            "template.motion": self.template.motion,
+            "template.motion": self.template.motion and self.control.method != MOVING_METHOD,
             "control.gains": self.control.gains == "pixel",
         } | {
             f"interventions.{number}": isinstance(intervention, ControlIntervention | TemplateIntervention)

@@ -10,13 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from skyherd.datasets import METHODS, load_mission, make_mission, shape_points
 from skyherd.errors import InputError
+from skyherd.geometry import to_complex
 from skyherd.loop import run_steps
 from skyherd.sim.baseline_laws import LAWS
 from skyherd.sim.baseline_laws.affine import module_rows, stress_matrix
 from skyherd.sim.baseline_laws.bearings import bearing_only_law
 from skyherd.sim.baseline_laws.distances import distance_law
 from skyherd.sim.baseline_laws.graphs import modules, neighbors, triangles
-from skyherd.sim.baseline_laws.laplacians import complex_laplacian, follower_links
+from skyherd.sim.baseline_laws.laplacians import complex_laplacian, complex_maneuver_law, follower_links
 from skyherd.sim.baseline_laws.mean_shift import mean_shift_law
 from skyherd.sim.truth_metrics import affine_error, fit_shape
 
@@ -118,6 +119,79 @@ def test_fastest_mode_has_rate_k_and_only_free_modes_persist(method) -> None:
     assert values[-FREE[method] - 1] < -1e-3 * GAIN
     if method != "matrix-weighted":
         assert values[0] == pytest.approx(-GAIN, abs=1e-6)
+
+
+def rates_of(shape: np.ndarray, velocity: complex, rate: complex) -> np.ndarray:
+    return velocity + rate * (shape - shape.mean())
+
+
+def test_maneuver_moves_any_similar_shape_in_its_own_frame() -> None:
+    rng = np.random.default_rng(7)
+    shape, (factor, place, velocity, rate) = cloud(rng, 11), cloud(rng, 4)
+    wanted = rates_of(shape, velocity, rate)
+    law = complex_maneuver_law(shape, wanted)
+    np.testing.assert_allclose(law(factor * shape + place), factor * wanted, atol=1e-12)
+
+
+def test_maneuver_keeps_star_stable_and_relocates_one_of_its_two_zeros() -> None:
+    """The zero eigenvalue of the shape becomes the rate g + iω, and that of its place stays."""
+    shape = to_complex(shape_points("star", 16))
+    for rate in (0.01, -0.01, 0.06j, -0.06j):
+        move = complex_maneuver_law(shape, rates_of(shape, 0.07, rate))
+        law = LAWS["complex-laplacian"].make(shape, 4.8)
+        values = np.linalg.eigvals(np.array([law(unit) + move(unit) for unit in np.eye(16) + 0j]).T)
+        for moving in (0.0, rate):
+            nearest = np.argmin(np.abs(values - moving))
+            assert abs(values[nearest] - moving) < 1e-9
+            values = np.delete(values, nearest)
+        assert values.real.max() < -0.05
+
+
+def test_maneuver_uses_links_of_the_law_alone() -> None:
+    shape = cloud(np.random.default_rng(8), 11)
+    law = complex_maneuver_law(shape, rates_of(shape, 0.3, 0.1j))
+    matrix = np.array([law(unit) for unit in np.eye(11) + 0j]).T
+    linked = {tuple(link) for link in LAWS["complex-laplacian"].links(shape).tolist()}
+    used = {tuple(link) for link in np.argwhere(np.abs(matrix) > 1e-12).tolist() if link[0] != link[1]}
+    assert used <= linked
+
+
+def test_moving_shape_follows_its_motion_from_its_time_on() -> None:
+    """Without bodies and with wheels that move in any direction, the shape turns and grows as asked."""
+    settings = [
+        "control.method=complex-laplacian",
+        "control.k=4.8",
+        "perception=ideal",
+        "units.*.frame_rate_hz=0.02",
+        "roles.exchange=false",
+        "size.min_spacing_sides=0",
+        "avoidance.on=false",
+        "robots.drive.axis_offset_m=0.1",
+        "robots.scatter={ scale_m = 4.0, jitter_m = 0.1, rotation_deg = 20.0 }",
+        "duration_s=30",
+    ]
+    motion = "{ at_s = 20.0, turn_degps = 2.0, growth_percent_ps = 1.0 }"
+    mission = load_mission("crowd", [*settings, f"template.motion=[{motion}]"])
+    steps = {round(step.time_s, 3): step.metrics.shape for step in run_steps(mission)}
+    before, after = steps[19.9], steps[29.9]
+    assert after.error < 0.01
+    assert np.degrees(after.rotation_rad - before.rotation_rad) == pytest.approx(19.8, abs=0.5)
+    assert np.log(after.scale / before.scale) == pytest.approx(0.099, abs=0.005)
+
+
+def test_only_laws_that_move_a_shape_are_given_motions() -> None:
+    for method, law in LAWS.items():
+        settings = [
+            f"control.method={method}",
+            "roles.exchange=false",
+            "size.unit_m=4.0",
+            "template.motion=[{ at_s = 2.0, turn_degps = 2.0 }]",
+        ]
+        if law.move is not None:
+            assert load_mission("crowd", settings).scenario.template.motion
+            continue
+        with pytest.raises(InputError, match=r"template.motion: not supported by control.method"):
+            load_mission("crowd", settings)
 
 
 def test_every_mode_of_followers_has_the_rate_k() -> None:

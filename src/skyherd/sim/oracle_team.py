@@ -5,7 +5,7 @@ The laws of `skyherd.sim.baseline_laws` read true positions from the world. They
 the same, so that `skyherd study methods` can compare the laws.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -128,6 +128,7 @@ class OracleTeam(RobotTeam):
         wheels: kinematics and limits of the robots.
         news: noise and loss of the positions.
         avoidance: collision avoidance; None without.
+        lead: function from a time, s, to a law whose velocities move the shape; None if it rests.
         free_shape: (N,) shape, if the law has no roles. The team then reports which robot has taken which
             point of it.
     """
@@ -141,10 +142,11 @@ class OracleTeam(RobotTeam):
         news: News,
         *,
         avoidance: Avoidance | None = None,
+        lead: Callable[[float], Law] | None = None,
         free_shape: ComplexArray | None = None,
     ) -> None:
         self._world, self._law, self._gains, self._wheels, self._news = world, law, gains, wheels, news
-        self._avoidance, self._free_shape = avoidance, free_shape
+        self._avoidance, self._lead, self._free_shape = avoidance, lead, free_shape
         self._roles: IntArray | None = None
         self._v_mps, self._omega_radps = np.zeros((2, world.ids.size))
         self._wanted_mps: ComplexArray = np.zeros(world.ids.size, dtype=np.complex128)
@@ -162,7 +164,7 @@ class OracleTeam(RobotTeam):
             told = news.rng.random(world.ids.size) >= news.loss
         self._told_s[told] = time_s
         fresh = self._told_s >= time_s - news.lifetime_s - TIME_TOLERANCE_S
-        self._wanted_mps = np.where(told, self._velocities(positions_m), self._wanted_mps) * fresh
+        self._wanted_mps = np.where(told, self._velocities(positions_m, time_s), self._wanted_mps) * fresh
         rho = self._wanted_mps * np.exp(-1j * world.headings_rad)
         rho /= float(self._gains.speed_mps(np.ones(1))[0])
         if self._avoidance is None:
@@ -193,8 +195,10 @@ class OracleTeam(RobotTeam):
         error_m = self._news.rng.normal(scale=self._news.noise_m, size=(2, positions_m.size))
         return np.asarray(positions_m + error_m[0] + 1j * error_m[1])
 
-    def _velocities(self, positions_m: ComplexArray) -> ComplexArray:
+    def _velocities(self, positions_m: ComplexArray, time_s: float) -> ComplexArray:
         velocities = np.asarray(self._law(positions_m))
+        if self._lead is not None:
+            velocities = velocities + self._lead(time_s)(positions_m)
         if velocities.shape != positions_m.shape or not np.isfinite(velocities).all():
             what = f"gave {velocities.size} velocities for {positions_m.size} robots, or no finite ones"
             raise InputError("control.method", what, "a law with a finite complex velocity for each robot")

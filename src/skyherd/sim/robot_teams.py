@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from skyherd.control import (
     RobotClocks,
     RobotLaw,
     RobotTeam,
+    ShapeMotion,
     TeamClock,
     Wheels,
 )
@@ -26,7 +28,7 @@ from skyherd.datasets import AvoidanceModel, Mission, Scenario, WheelsModel
 from skyherd.datasets.random_streams import RunStream, generator
 from skyherd.errors import InputError
 from skyherd.geometry import ComplexArray
-from skyherd.sim.baseline_laws import find_law
+from skyherd.sim.baseline_laws import BaselineLaw, Law, find_law
 from skyherd.sim.delays import max_message_delay_s, min_message_delay_s, whole_steps
 from skyherd.sim.oracle_team import Avoidance, News, OracleTeam
 from skyherd.sim.physics import make_robot_clocks
@@ -100,8 +102,26 @@ def _make_oracle_team(mission: Mission, world: World, gains: RobotLaw, wheels: W
         wheels,
         news,
         avoidance=_make_oracle_avoidance(scenario, world),
+        lead=_make_lead(mission, found),
         free_shape=shape if found.has_free_roles else None,
     )
+
+
+def _make_lead(mission: Mission, law: BaselineLaw) -> Callable[[float], Law] | None:
+    """Return the law that moves the shape at a time; None if it rests."""
+    if law.move is None or not mission.scenario.template.motion:
+        return None
+    shape, move = shape_m(mission), law.move
+    arms = shape - shape.mean()
+    radius = np.sqrt(np.mean(np.abs(arms) ** 2))
+
+    @cache
+    def law_of(motion: ShapeMotion) -> Law:
+        # The ground's frame is mirrored against the image's.
+        translation = complex(motion.right_ps, -motion.down_ps) * radius
+        return move(shape, translation + complex(motion.growth_ps, -motion.turn_radps) * arms)
+
+    return lambda time_s: law_of(mission.schedule.motion_at(time_s))
 
 
 def _make_oracle_avoidance(scenario: Scenario, world: World) -> Avoidance | None:

@@ -7,7 +7,7 @@ the quarter turn J, is the complex number `a + b i`.
 import numpy as np
 
 from skyherd.geometry import ComplexArray, IntArray
-from skyherd.sim.baseline_laws.graphs import Law, neighbors, triangles
+from skyherd.sim.baseline_laws.graphs import Law, both_ways, neighbors, triangles
 
 
 def complex_laplacian_law(shape: ComplexArray, gain_ps: float) -> Law:
@@ -27,6 +27,30 @@ def complex_laplacian_law(shape: ComplexArray, gain_ps: float) -> Law:
     matrix = complex_laplacian(shape)
     matrix *= gain_ps / np.linalg.eigvalsh(matrix)[-1]
     return lambda positions: -(matrix @ positions)
+
+
+def complex_maneuver_law(shape: ComplexArray, velocities: ComplexArray) -> Law:
+    """Return the law `dz/dt = M z` that moves a shape, added to that of its complex Laplacian.
+
+    From García de Marina (Marina 2021). The weights satisfy `M 1 = 0` and `M shape = velocities`. A robot
+    needs its neighbours' relative positions, as before. Velocities of a translation, rotation and growth keep
+    the shape. The paper leaves the weights open. Here each robot has those of the smallest norm on its
+    neighbours.
+
+    Args:
+        shape: (N,) points of the desired shape.
+        velocities: (N,) their desired velocities in the frame of the shape, units of the shape per second.
+
+    Raises:
+        InputError: the points are collinear.
+    """
+    robots, others = both_ways(neighbors(shape)).T
+    arms = shape[others] - shape[robots]
+    norms = np.bincount(robots, np.abs(arms) ** 2)
+    matrix = np.zeros((shape.size, shape.size), dtype=np.complex128)
+    matrix[robots, others] = arms.conj() * (velocities / norms)[robots]
+    np.fill_diagonal(matrix, -matrix.sum(axis=1))
+    return lambda positions: matrix @ positions
 
 
 def complex_laplacian(shape: ComplexArray) -> ComplexArray:

@@ -13,7 +13,12 @@ from skyherd.sim.baseline_laws.angles_and_ratios import angle_law, distance_rati
 from skyherd.sim.baseline_laws.bearings import bearing_only_law, bearings_with_ranges_law
 from skyherd.sim.baseline_laws.distances import distance_law
 from skyherd.sim.baseline_laws.graphs import Law, both_ways, modules, neighbors, within
-from skyherd.sim.baseline_laws.laplacians import complex_laplacian_law, follower_links, matrix_weighted_law
+from skyherd.sim.baseline_laws.laplacians import (
+    complex_laplacian_law,
+    complex_maneuver_law,
+    follower_links,
+    matrix_weighted_law,
+)
 from skyherd.sim.baseline_laws.mean_shift import mean_shift_law
 
 
@@ -29,6 +34,8 @@ class BaselineLaw:
         numbers: how many numbers a robot needs per link at every instant.
         needs_size: True if the law needs the size of the shape.
         has_free_roles: True if robots have no places of their own in the shape.
+        move: function from the shape and the velocities of its points, (N,) complex, to a law that is added
+            and moves the shape. None if the law is for shapes at rest.
     """
 
     make: Callable[[ComplexArray, float], Law]
@@ -36,6 +43,7 @@ class BaselineLaw:
     numbers: int = 0
     needs_size: bool = False
     has_free_roles: bool = False
+    move: Callable[[ComplexArray, ComplexArray], Law] | None = None
 
 
 def _between_neighbors(shape: ComplexArray) -> IntArray:
@@ -51,7 +59,7 @@ def _between_all(shape: ComplexArray) -> IntArray:
 
 
 LAWS: Mapping[str, BaselineLaw] = {
-    "complex-laplacian": BaselineLaw(complex_laplacian_law, _between_neighbors, 2),
+    "complex-laplacian": BaselineLaw(complex_laplacian_law, _between_neighbors, 2, move=complex_maneuver_law),
     "matrix-weighted": BaselineLaw(matrix_weighted_law, follower_links, 2),
     "affine-modules": BaselineLaw(affine_modules_law, _within_modules, 2),
     "affine-stress": BaselineLaw(affine_stress_law, _within_modules, 2),

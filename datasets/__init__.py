@@ -83,6 +83,7 @@ from skyherd.datasets.labelled.ranges import draw_integer, draw_number
 from skyherd.datasets.labelled.read import Dataset, LabelledImage, read_dataset
 from skyherd.datasets.labelled.spec import DatasetSpec, SpecFile, load_spec, spec_names, spec_text
 from skyherd.datasets.shapes.shapes import SHAPES, shape_points
+from skyherd.datasets.shapes.strokes import polyline_points
 
 if TYPE_CHECKING:
     from skyherd.datasets.generated.crowded_missions import SHAPE_SPACING, crowded_mission
@@ -188,6 +189,7 @@ __all__ = [
     "make_layout",
     "make_mission",
     "parse_toml",
+    "polyline_points",
     "put_value",
     "random_crowd",
     "random_mission",

@@ -1,16 +1,16 @@
 """Words as formation shapes: robots distributed along the strokes of letters.
 
 Strokes (`skyherd.datasets.shapes.letters`) meet only at their ends. One robot stands at each end. Webster's
-rule distributes the others among the strokes. It minimizes the deviation of the spacings from their mean.
+rule (`skyherd.datasets.shapes.strokes`) distributes the others among the strokes.
 """
 
 from dataclasses import dataclass
-from heapq import heapify, heapreplace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from skyherd.datasets.shapes.letters import STROKES
+from skyherd.datasets.shapes.strokes import MIN_SPACING, divide
 from skyherd.errors import InputError
 from skyherd.geometry import Array, ComplexArray, to_points
 
@@ -27,10 +27,6 @@ TURN_DEG = 62.0
 REACH = 0.75
 """Maximum length of stroke between two robots, letter heights. Chosen: a stroke of full height has a robot
 between its ends, so that it looks like a line."""
-
-MIN_SPACING = 0.6
-"""Minimum distance of two robots, in mean distances between neighbours on a stroke. Chosen: nearer robots
-would look like a joint, or collide."""
 
 MAX_LETTERS = 40
 """Maximum number of letters of a word. Chosen: longer texts are mistakes, and slow to try."""
@@ -78,8 +74,7 @@ def word_points(text: str, count: int) -> Array:
     """Return the points (N, 2), x right and y up, of robots that write a word, in writing order.
 
     Letters have height 1. One robot stands wherever a stroke ends, turns sharply or meets another. The others
-    are distributed by Webster's rule: the next robot goes to the stroke with the largest length over
-    `parts + 1/2`. This minimizes the deviation of the parts from their mean.
+    are distributed by Webster's rule.
 
     Raises:
         InputError: the text is empty, too long or has characters other than A-Z and 0-9, or there are too few
@@ -127,12 +122,7 @@ def _spread(strokes: list[Stroke], joints: ComplexArray, count: int) -> ComplexA
     if spare < 0:
         return None
     lengths = [stroke.length for stroke in strokes]
-    queue = [(-length / (part + 0.5), k) for k, (length, part) in enumerate(zip(lengths, parts, strict=True))]
-    heapify(queue)
-    for _ in range(spare):
-        k = queue[0][1]
-        parts[k] += 1
-        heapreplace(queue, (-lengths[k] / (parts[k] + 0.5), k))
+    parts = divide(lengths, parts, spare)
     points, written = [], set[int]()
     for stroke, part in zip(strokes, parts, strict=True):
         first, last = stroke.ends

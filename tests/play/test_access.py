@@ -175,6 +175,7 @@ class TestServer:
         """
         with open_page(speed=1.0) as page, monkeypatch.context() as patch:
             asked, seed = [], page._panel._seed.value
+            page._panel._sketch.begin()
             patch.setattr(page.session, "ask", asked.append)
 
             async def attack():
@@ -188,7 +189,7 @@ class TestServer:
                                 await socket.send(raw)
                     while page.server.get_clients():
                         await asyncio.sleep(0.02)
-                assert asked == [] and page._panel._seed.value == seed
+                assert asked == [] and page._panel._seed.value == seed and not page._panel._sketch.count
                 async with connect(page.access) as socket:
                     await socket.send(CAMERA)
                     await socket.send(update(page._panel._pause, value=True))
@@ -343,6 +344,17 @@ def hostile_messages(page):
     messages += [
         msgspec.msgpack.encode({**camera, "fov": value}) for value in (float("nan"), float("inf"), 1e300)
     ]
+    click = {
+        "type": "ScenePointerMessage",
+        "event_type": "click",
+        "ray_origin": [0.0, 0.0, 9.0],
+        "ray_direction": [0.1, 0.0, -1.0],
+        "screen_pos": [[0.5, 0.5]],
+        "modifier": None,
+    }
+    changes = [{"event_type": "rect-select"}, {"ray_origin": None}, {"ray_origin": [0.0, 0.0, float("nan")]}]
+    changes += [{"ray_direction": [0.0, 0.0]}, {"ray_direction": [0.0, 0.0, 1e300]}, {"screen_pos": []}]
+    messages += [msgspec.msgpack.encode({**click, **change}) for change in (*changes, {"owner": "x" * 999})]
     messages += ["text", *(rng.randbytes(rng.randrange(1, 400)) for _ in range(300 - len(messages)))][
         : 300 - len(messages)
     ]

@@ -5,7 +5,7 @@ refused like any unknown kind.
 """
 
 from collections.abc import Callable
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -87,7 +87,17 @@ class NodeClick(Message, tag="SceneNodeClickMessage"):
     owner: Name = ""
 
 
-Known = ViewerCamera | GuiUpdate | CommandTrigger | Moved | MoveStart | MoveEnd | NodeClick
+class GroundClick(Message, tag="ScenePointerMessage"):
+    """Click anywhere in the scene."""
+
+    event_type: Literal["click"]
+    ray_origin: Point
+    ray_direction: Point
+    screen_pos: tuple[tuple[Number, Number]]
+    modifier: Name | None
+
+
+Known = ViewerCamera | GuiUpdate | CommandTrigger | Moved | MoveStart | MoveEnd | NodeClick | GroundClick
 """Kinds of messages that are acted on."""
 
 _DECODER = msgspec.msgpack.Decoder(Known)

@@ -51,8 +51,8 @@ class Page:
         allowed = MessageFilter()
         self.server = start_server(access, listener, allowed)
         self._images = LiveImages(session.mission)
-        self._panel = Panel(self.server, session, allowed, self._images.first)
         self._scene = Scene(self.server, session.mission)
+        self._panel = Panel(self.server, session, allowed, self._images.first)
         self._scene.on_click(self._panel.choose)
         self._step: Step | None = None
         session.listen(self._news.put)

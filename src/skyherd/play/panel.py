@@ -27,6 +27,7 @@ from skyherd.play.session import (
     SingleStep,
     Undo,
 )
+from skyherd.play.sketch import Sketch
 from skyherd.play.team_tab import TeamTab
 from skyherd.play.wording import describe, escaped, state_line
 
@@ -78,7 +79,7 @@ class Panel:
         self._events: deque[str] = deque(maxlen=EVENTS_SHOWN)
         self._refreshed_s = 0.0
         self._notice = ""
-        self._grab = Grab(server, session)
+        self._grab, self._sketch = Grab(server, session), Sketch(server, session)
         tabs = self._gui.add_tab_group()
         with tabs.add_tab("Run"):
             self._add_transport()
@@ -89,12 +90,13 @@ class Panel:
             self._lives: list[Any] = []
             self._pictures = [self._add_unit(unit, image) for unit, image in enumerate(images)]
         with tabs.add_tab("Team"):
-            self._team = TeamTab(self._controls, session, self._grab)
+            self._team = TeamTab(self._controls, session, self._grab, self._sketch)
         self._add_keys()
 
     def choose(self, choice: str) -> None:
-        """Put the handle at `robot ID` or `unit NUMBER`; `nothing` hides it."""
-        self._team.choose(choice)
+        """Put the handle at `robot ID` or `unit NUMBER`; `nothing` hides it. Not while a shape is drawn."""
+        if not self._sketch.is_on:
+            self._team.choose(choice)
 
     def clear(self) -> None:
         """Forget the curves and events of the run before."""
@@ -117,6 +119,7 @@ class Panel:
         self._show_state(step, mission)
         self._curves.show()
         self._grab.show(step, mission)
+        self._sketch.show(step)
         if monotonic() - self._refreshed_s > REFRESH_S:
             self._refreshed_s = monotonic()
             self._show_values(step, mission)

@@ -4,11 +4,20 @@ from collections.abc import Callable
 from typing import Any
 
 from skyherd.datasets import SHAPES, Mission
+from skyherd.errors import InputError
 from skyherd.loop import Step
 from skyherd.play.buttons import Controls
 from skyherd.play.controls import GAINS, RADIO, Quantity, Sliders
 from skyherd.play.grab import Grab
 from skyherd.play.session import Change, Session
+from skyherd.play.sketch import Sketch
+from skyherd.play.wording import escaped
+
+SKETCH_HINTS = {
+    False: "Draw a line on the ground. Its place and size are free.",
+    True: "Click the corners of the line on the ground; click the first again to close it.",
+}
+"""Hints before and while a shape is drawn."""
 
 
 class TeamTab:
@@ -18,12 +27,15 @@ class TeamTab:
         controls: maker of controls.
         session: session that is asked.
         grab: handle in the scene.
+        sketch: line that is drawn in the scene.
     """
 
-    def __init__(self, controls: Controls, session: Session, grab: Grab) -> None:
+    def __init__(self, controls: Controls, session: Session, grab: Grab, sketch: Sketch) -> None:
         self._controls, self._gui, self._session = controls, controls.gui, session
         self._add_move(grab)
         self._add_shape()
+        self._sketch = sketch
+        self._add_sketch()
         self._add_marker()
         self._sliders = self._add_sliders(session.mission)
 
@@ -49,6 +61,31 @@ class TeamTab:
             word = self._controls.known(self._gui.add_text("word", "", hint=hint))
             self._write = self._controls.button("Write the word", lambda: ask(word_change(word.value)))
             self._word = word
+
+    def _add_sketch(self) -> None:
+        with self._gui.add_folder("Draw a shape"):
+            self._hint = self._gui.add_markdown(SKETCH_HINTS[False])
+            self._draw = self._controls.button("Draw", self._begin_or_end_sketch)
+            self._form_drawn = self._controls.button("Form the drawn shape", self._form_sketch)
+            self._form_drawn.disabled = True
+
+    def _begin_or_end_sketch(self) -> None:
+        (self._sketch.end if self._sketch.is_on else self._sketch.begin)()
+        self._show_sketch()
+
+    def _form_sketch(self) -> None:
+        try:
+            self._sketch.form()
+        except InputError as error:
+            self._hint.content = escaped(str(error))
+        else:
+            self._show_sketch()
+
+    def _show_sketch(self) -> None:
+        is_on = self._sketch.is_on
+        self._hint.content = SKETCH_HINTS[is_on]
+        self._draw.label = "Discard" if is_on else "Draw"
+        self._form_drawn.disabled = not is_on
 
     def _add_marker(self) -> None:
         ask, mission = self._session.ask, self._session.mission

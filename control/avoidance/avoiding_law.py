@@ -8,6 +8,7 @@ from skyherd.control.avoidance.retreat import retreat
 from skyherd.control.avoidance.speed_bound import AvoidanceRule, closing_bounds, slowed
 from skyherd.control.robots.unicycle import RobotLaw, wheel_law
 from skyherd.geometry import Array, BoolArray, ComplexArray
+from skyherd.messages.checks import check_kind, check_vectors
 
 MIN_SPEED_MPS = 1e-12
 """Minimum divisor for speeds, m/s. Chosen: far below the speed of any robot; it only avoids 0 / 0."""
@@ -35,6 +36,9 @@ def avoiding_law(
         time_s: present time, or the robots' own times (N,).
         driven: (N,) robots with a fresh goal; the others may not retreat. All if None.
     """
+    check_vectors("avoiding_law", rho=rho)
+    check_kind("avoiding_law: memory", memory, NeighborMemory, "a memory of neighbours")
+    check_kind("avoiding_law: rule", rule, AvoidanceRule, "a rule of avoidance")
     bounds = closing_bounds(memory, rule, time_s)
     if rule.detour != "none":
         gain = law.speed_mps(np.ones(1))[0]

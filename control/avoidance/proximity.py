@@ -16,7 +16,7 @@ from skyherd.control.avoidance.image_border import HIDDEN_SIDES, HiddenBeyond
 from skyherd.control.avoidance.make_way import yielding_sides
 from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, wrap_angle
 from skyherd.messages import ANONYMOUS_ID, BORDER_IDS, Detections, Proximity, among
-from skyherd.messages.checks import check_numbers
+from skyherd.messages.checks import check_kind, check_numbers, check_vectors
 
 
 @dataclass(frozen=True)
@@ -73,6 +73,9 @@ def proximity(
             it.
         ambiguous: ids of markers that were recently at several places; ids repeated in the image always are.
     """
+    check_kind("proximity: detections", detections, Detections, "detections")
+    check_kind("proximity: rule", rule, BodyRule, "a rule of bodies")
+    check_vectors("proximity", team_ids=team_ids)
     team = frozenset(team_ids.tolist())
     known = team | rule.obstacles.keys()
     ambiguous = ambiguous | set(detections.ids[detections.repeated].tolist())

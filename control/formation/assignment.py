@@ -35,6 +35,7 @@ def assign(robots: ComplexArray, points: ComplexArray, rotation: complex, *, cla
         rotation: e^{iφ}; its magnitude has no effect.
         classes: (M,) class of each robot and of the point in the same row; c(i) is of robot i's class.
     """
+    check_vectors("assign", robots=robots, points=points, classes=classes)
     # Imported here, since it takes 0.2 s and most runs do not need it.
     from scipy.optimize import linear_sum_assignment
 
@@ -61,6 +62,7 @@ def best_assignment(
         classes: (M,) class of each robot; points are exchanged within a class only.
         starts: number of further start rotations, evenly spread over the circle.
     """
+    check_vectors("best_assignment", robots=robots, points=points, classes=classes)
     x, p = robots - robots.mean(), points - points.mean()
     best = np.arange(robots.size)
     best_z = np.vdot(p, x)

@@ -133,7 +133,7 @@ def test_maneuver_moves_any_similar_shape_in_its_own_frame() -> None:
     np.testing.assert_allclose(law(factor * shape + place), factor * wanted, atol=1e-12)
 
 
-def test_maneuver_keeps_star_stable_and_relocates_one_of_its_two_zeros() -> None:
+def test_maneuver_keeps_star_stable_and_moves_one_zero() -> None:
     """The zero eigenvalue of the shape becomes the rate g + iω, and that of its place stays."""
     shape = to_complex(shape_points("star", 16))
     for rate in (0.01, -0.01, 0.06j, -0.06j):

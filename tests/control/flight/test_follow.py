@@ -31,6 +31,7 @@ def fly(make_detections, make_report):
     ("theirs", "kept"),
     [
         pytest.param([2, 3, 4, 5], [0, 1, 2, 3], id="of four in common, two"),
+        pytest.param([2, 4, 5], [0, 1, 2, 3, 4], id="of three in common, two, though another is nearer"),
         pytest.param([4, 5], [0, 1, 2, 3, 4, 5], id="both of two in common"),
         pytest.param([5], [0, 1, 2, 3, 4], id="one in common makes no neighbour"),
     ],

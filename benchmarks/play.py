@@ -20,9 +20,9 @@ import viser
 from command import run
 
 from skyherd.loop import Step
-from skyherd.play.access import Access, bind
 from skyherd.play.page import Page
 from skyherd.play.session import End, Session
+from skyherd.report.access import Access, bind
 
 WARM_UP_S = 3.0
 """Time before each measurement, s. Chosen: compiled functions are ready, and browsers connected."""

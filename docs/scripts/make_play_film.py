@@ -18,9 +18,9 @@ from PIL import Image
 from playwright.sync_api import ViewportSize, sync_playwright
 
 from skyherd.loop import Step
-from skyherd.play.access import Access, bind
 from skyherd.play.page import Page
 from skyherd.play.session import Change, End, Session
+from skyherd.report.access import Access, bind
 
 SIZE_PX: ViewportSize = {"width": 1000, "height": 600}
 DRAWING_S = 2.5

@@ -13,9 +13,9 @@ from PIL import Image
 from playwright.sync_api import ViewportSize, sync_playwright
 
 from skyherd.loop import Step
-from skyherd.play.access import Access, bind
 from skyherd.play.page import Page
 from skyherd.play.session import Change, End, Pause, Session
+from skyherd.report.access import Access, bind
 
 SIZE_PX: ViewportSize = {"width": 1280, "height": 760}
 GL_ARGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

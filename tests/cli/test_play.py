@@ -12,7 +12,7 @@ from contextlib import closing
 import pytest
 from command_line import assert_refused, call
 
-from skyherd.play.access import bind
+from skyherd.report.access import bind
 
 TOKEN_LINE = re.compile(r"open http://127\.0\.0\.1:(\d+)(/\?token=\S+)")
 """The printed address, with its port and its path."""

@@ -11,8 +11,8 @@ import pytest
 from command_line import assert_refused, call
 
 from skyherd import load_mission, run_steps
-from skyherd.play.access import bind
 from skyherd.recording.writer import McapRecorder
+from skyherd.report.access import bind
 
 
 @pytest.fixture

@@ -66,7 +66,7 @@ def test_good_camera_needs_no_advice() -> None:
     assert advice(survey) == "" and survey.is_fine
     said = "\n".join(one.text for one in survey.findings())
     assert "robots 0, 1, 2, 3 of 4 seen" in said and "markers 36 to 36 px wide" in said
-    assert list(team_findings(survey.lab, [survey])) == []
+    assert list(team_findings(survey.lab, [set(survey.seen)])) == []
 
 
 @pytest.mark.parametrize(
@@ -122,12 +122,12 @@ def test_shape_larger_than_the_image_is_told() -> None:
 def test_overlap_and_lost_robots_are_told_for_the_team() -> None:
     left = survey_of([picture({0: PLACES[0], 1: PLACES[1]})] * 2, lab="webcams")
     right = survey_of([picture({1: PLACES[1], 2: PLACES[2]})] * 2, lab="webcams")
-    said = [f"{one.level}: {one.text}" for one in team_findings(left.lab, [left, right])]
+    said = [f"{one.level}: {one.text}" for one in team_findings(left.lab, [set(left.seen), set(right.seen)])]
     assert said[0].startswith("problem: robots 3 seen by no camera")
     assert said[1] == "ok: cameras 0 and 1 share robots 1"
     assert said[2].startswith("advice: cameras 1 share fewer than 2 robots")
     both = survey_of([picture({0: PLACES[0], 1: PLACES[1], 3: PLACES[3]})] * 2, lab="webcams")
-    levels = [one.level for one in team_findings(left.lab, [left, both])]
+    levels = [one.level for one in team_findings(left.lab, [set(left.seen), set(both.seen)])]
     assert levels == [Level.PROBLEM, Level.GOOD]
 
 

@@ -262,6 +262,29 @@ class TestSession:
             session.step("", 0.05)
         assert lines[-1] == "stopped: 0, 1, 2, 3, 4, 5"
 
+    def test_stop_of_the_page_has_priority_over_arm(self) -> None:
+        """Later the key arms as before."""
+        team = ScriptedTeam()
+        session, lines = session_of(team, arms=False)
+        session.step("a", 0.05, page_stops=True)
+        for _ in range(20):
+            session.step("", 0.05)
+        assert not any(robot.armed for robot in team.robots.values())
+        assert lines == ["stopped: 0, 1, 2, 3, 4, 5"]
+        for number in range(20):
+            session.step("a" if number == 0 else "", 0.05)
+        assert lines[-1] == "armed: 0, 1, 2, 3, 4, 5"
+
+    def test_stop_of_the_page_cancels_pending_arm(self) -> None:
+        team = ScriptedTeam()
+        team.robots[2].frozen = True
+        session, _ = session_of(team, arms=True)
+        session.step("", 0.05, page_stops=True)
+        team.robots[2].frozen = False
+        for _ in range(30):
+            session.step("", 0.05)
+        assert not session.arms and not any(robot.armed for robot in team.robots.values())
+
     def test_heartbeat_carries_stop_to_restarted_processes(self) -> None:
         team = ScriptedTeam()
         session, _ = session_of(team, arms=False)

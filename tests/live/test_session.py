@@ -1,5 +1,6 @@
 """Runs of a lab: refused input, the end of a run, keys and the supervisor."""
 
+import http.client
 import io
 import os
 import pty
@@ -8,6 +9,7 @@ import threading
 import time
 import tty
 from collections import deque
+from contextlib import closing
 from types import SimpleNamespace
 
 import pytest
@@ -16,12 +18,14 @@ from rich.console import Console
 
 from skyherd.errors import InputError
 from skyherd.live.cameras import check_camera
+from skyherd.live.cockpit import PageAddress
 from skyherd.live.lab import load_lab
 from skyherd.live.mailbox import Air, Mailbox
 from skyherd.live.operator import watch
-from skyherd.live.session import MAX_KEYS, _keys, _page, _windows_key, run_session
+from skyherd.live.session import MAX_KEYS, _dashboard, _keys, _windows_key, run_session
 from skyherd.live.supervisor import Child, Supervisor
 from skyherd.live.wire import Heartbeat
+from skyherd.report.access import bind
 
 
 @pytest.fixture(autouse=True)
@@ -161,6 +165,16 @@ def test_run_without_units_or_robots_ends_with_exit_code(
         assert len(printed) == len(lines) and all(map(str.startswith, printed, lines)), printed
 
 
+def post_stop(url: str) -> int:
+    """Ask the page to stop, as its button does; return the status."""
+    origin, _, token = url.partition("/?token=")
+    host = origin.removeprefix("http://")
+    with closing(http.client.HTTPConnection(host, timeout=10)) as connection:
+        cookie = f"skyherd_{host.partition(':')[2]}={token}"
+        connection.request("POST", "/stop", headers={"Origin": origin, "Cookie": cookie})
+        return connection.getresponse().status
+
+
 STREAMS = ["tcp://127.0.0.1:9", "tcp://127.0.0.1:9"]
 """Addresses of cameras that are not opened before the processes of a run start."""
 
@@ -257,6 +271,27 @@ class TestRun:
         assert all(child.process is None and child.code is not None for child in scripted_run.children)
         assert scripted_run.said[-1].startswith(f"recorded in {scripted_run.folder}; ")
 
+    def test_page_stops_the_team_and_ends_with_the_run(self, scripted_run) -> None:
+        asked = []
+
+        def ended() -> bool:
+            if not asked:
+                asked.append(post_stop(scripted_run.said[0].removeprefix("open ")))
+            return len(scripted_run.stops_s) > 0
+
+        assert scripted_run.run(ended=ended, page=PageAddress("127.0.0.1", 0)) == 0
+        assert asked == [202] and len(scripted_run.stops_s) > 1
+        for name, arguments in scripted_run.arguments.items():
+            assert ("--preview" in arguments) == name.startswith("unit/")
+        assert not (scripted_run.folder / "preview").exists()
+        with pytest.raises(OSError, match="refused"):
+            post_stop(scripted_run.said[0].removeprefix("open "))
+
+    def test_page_whose_port_is_taken_leaves_no_folder(self, scripted_run) -> None:
+        with bind("127.0.0.1", 0) as listener, pytest.raises(InputError, match="--port"):
+            scripted_run.run(page=PageAddress("127.0.0.1", listener.getsockname()[1]))
+        assert not scripted_run.folder.exists() and scripted_run.closed == 1
+
     def test_crashed_process_is_restarted(self, scripted_run, tmp_path, monkeypatch) -> None:
         monkeypatch.setattr("skyherd.live.supervisor.FIRST_WAIT_S", 0.01)
         mark = tmp_path / "started"
@@ -338,7 +373,7 @@ def test_dashboard_shows_state_of_each_process(tmp_path) -> None:
     restarts = {"unit/0": 0, "robot/0": 1, "robot/1": 3, "robot/2": 0, "robot/3": 0}
     supervisor.children = [Child(name, [], count) for name, count in restarts.items()]
     console = Console(file=io.StringIO(), width=100)
-    console.print(_page(lab, watched, supervisor, ["a line", "another"]))
+    console.print(_dashboard(lab, watched, supervisor, ["a line", "another"], "http://127.0.0.1:1/"))
     supervisor.end()
     head, *rows = [line.split() for line in console.file.getvalue().splitlines()]
     assert " ".join(head) == "team triangle: 1 of 6 robots armed. a: arm space: STOP Ctrl-C: end"
@@ -349,6 +384,7 @@ def test_dashboard_shows_state_of_each_process(tmp_path) -> None:
         ["robot/1", "4", "no", "waiting"],
         ["robot/2", "1", "no", "heartbeat"],
         ["robot/3", "1", "no", "two", "processes", "are", "named", "robot/3"],
+        ["page:", "http://127.0.0.1:1/"],
         ["a", "line"],
         ["another"],
     ]

@@ -10,9 +10,9 @@ import pytest
 
 viser = pytest.importorskip("viser")
 
-from skyherd.play.access import Access, bind  # noqa: E402
 from skyherd.play.page import Page  # noqa: E402
 from skyherd.play.session import End, Session  # noqa: E402
+from skyherd.report.access import Access, bind  # noqa: E402
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 import viser
 import websockets
-from play_pages import wait_until
+from play_pages import run_async, wait_until
 from viser._messages import (
     SceneNodeClickMessage,
     TransformControlsDragEndMessage,
@@ -20,12 +20,12 @@ from viser._messages import (
 )
 
 from skyherd.errors import InputError
-from skyherd.play.access import Access, bind
 from skyherd.play.grab import NAME
 from skyherd.play.session import Pause
+from skyherd.report.access import Access, bind
 
 ACCESS = Access("127.0.0.1", 8440, "secret")
-COOKIE = "skyherd_play_8440=secret"
+COOKIE = "skyherd_8440=secret"
 
 
 def headers(host="127.0.0.1:8440", origin="", cookie=COOKIE):
@@ -61,7 +61,7 @@ class TestRules:
 
     @pytest.mark.parametrize(
         "cookie",
-        ["", "skyherd_play_8440=", "skyherd_play_8440=secre", "skyherd_play_80=secret", "\x00;=;\xff"],
+        ["", "skyherd_8440=", "skyherd_play_8440=secre", "skyherd_play_80=secret", "\x00;=;\xff"],
     )
     def test_wrong_cookie_is_refused(self, cookie):
         assert "token" in ACCESS.refusal(headers(cookie=cookie), is_socket=False)
@@ -154,7 +154,7 @@ class TestServer:
         [
             {"Origin": "http://evil.example"},
             {"Origin": None},
-            {"Cookie": "skyherd_play_1=x"},
+            {"Cookie": "skyherd_1=x"},
             {"Host": "evil.example:80"},
             {"protocol": "viser-v0.0.1"},
         ],
@@ -166,7 +166,7 @@ class TestServer:
                 pass
 
         with open_page() as page, pytest.raises(websockets.InvalidStatus, match="403"):
-            asyncio.run(attack())
+            run_async(attack())
 
     def test_hostile_messages_change_nothing(self, open_page, capfd, monkeypatch):
         """300 messages: malformed, oversized, unknown kinds, foreign controls, wrong values.
@@ -196,7 +196,7 @@ class TestServer:
                     while not asked:
                         await asyncio.sleep(0.02)
 
-            asyncio.run(asyncio.wait_for(attack(), 60))
+            run_async(asyncio.wait_for(attack(), 60))
             assert asked == [Pause(True)] and page.server._share_tunnel is None
         said = capfd.readouterr()
         assert "Traceback" not in said.out + said.err
@@ -215,7 +215,7 @@ class TestServer:
                         if page.session.is_paused:
                             return
 
-            asyncio.run(press())
+            run_async(press())
             assert page.session.is_paused
 
     def test_messages_of_a_click_and_a_drag_move_the_robot(self, open_page):
@@ -247,7 +247,7 @@ class TestServer:
                     while not page.session.added:
                         await asyncio.sleep(0.05)
 
-            asyncio.run(asyncio.wait_for(act(), 20))
+            run_async(asyncio.wait_for(act(), 20))
             (change,) = page.session.added
             assert (change.kind, change.robot, change.position_m) == ("robot", number, (9.0, 1.0))
 
@@ -291,7 +291,7 @@ class TestServer:
                             await socket.recv()
                 assert closed.value.rcvd.code == 1008
 
-            asyncio.run(attack())
+            run_async(attack())
 
 
 CAMERA = msgspec.msgpack.encode(

@@ -7,12 +7,12 @@ from play_pages import wait_until
 
 from skyherd.datasets import load_mission, read_interventions
 from skyherd.markers.dictionary import marker_cells
-from skyherd.play.access import Access
 from skyherd.play.pictures import ground_picture, marker_picture
 from skyherd.play.poses import VIEW_FOV_RAD, Window, field_of_view_rad, view_of, wxyz_about_z, wxyz_of
 from skyherd.play.scene import corners_m
 from skyherd.play.session import Change, Pause, Restart, SingleStep
 from skyherd.play.wording import describe, escaped
+from skyherd.report.access import Access
 
 
 class TestScene:

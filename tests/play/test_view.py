@@ -13,12 +13,12 @@ from play_pages import moved, wait_until
 
 from skyherd import load_mission, run_steps
 from skyherd.datasets import read_interventions
-from skyherd.play.access import Access, bind
 from skyherd.play.messages import MessageFilter
 from skyherd.play.replay import Replay, replay_html
 from skyherd.play.server import start_server, stop_server
 from skyherd.play.session import End
 from skyherd.play.view_page import PlayOrPause, Seek, ViewPage
+from skyherd.report.access import Access, bind
 
 SETTINGS = ["perception=ideal", "duration_s=12"]
 KILL = {"kind": "kill", "unit": 1, "at_s": 4.0}

@@ -10,6 +10,7 @@ import typer
 
 from skyherd.cli.console import say, say_table, warn
 from skyherd.cli.interrupts import signals_as_requests
+from skyherd.cli.options import DEFAULT_PORT, LOOPBACK, PageHost, PagePort
 
 if TYPE_CHECKING:
     from skyherd.live.lab import Lab
@@ -83,7 +84,7 @@ def check(
     surveys = [survey for unit in range(len(lab.model.cameras)) if (survey := _survey(lab, unit, seconds))]
     fine = len(surveys) == len(lab.model.cameras)
     if surveys:
-        fine &= _say_findings(team_findings(lab, surveys))
+        fine &= _say_findings(team_findings(lab, [survey.seen.keys() for survey in surveys]))
     fine &= all(survey.is_fine for survey in surveys)
     say(f"{lab_file}: good: {good}" if fine else f"{lab_file}: {good}, with problems")
     return 0 if fine else 2
@@ -137,6 +138,11 @@ def run(
     duration_s: Annotated[
         float | None, typer.Option("--duration", metavar="SECONDS", help="End after this time.")
     ] = None,
+    with_page: Annotated[
+        bool, typer.Option("--page", help="Show images and states on a page, with a stop button.")
+    ] = False,
+    port: PagePort = DEFAULT_PORT,
+    host: PageHost = LOOPBACK,
     settings: Settings = None,
     insecure: Insecure = False,
 ) -> int:
@@ -144,10 +150,14 @@ def run(
 
     Robots are disarmed: `skyherd live arm`, or the key a. The space bar stops them.
     """
+    from skyherd.live.cockpit import PageAddress
     from skyherd.live.lab import load_lab
     from skyherd.live.session import run_session
 
     lab = load_lab(lab_file, settings or [])
+    page = PageAddress(host, port) if with_page else None
+    if page is not None and host != LOOPBACK:
+        warn(f"the page can be reached at {host}, without encryption; its address is a password")
     with signals_as_requests() as request:
         code = run_session(
             lab,
@@ -159,6 +169,7 @@ def run(
             duration_s=duration_s,
             settings=settings or [],
             insecure=insecure,
+            page=page,
             say=say,
             ended=request.is_asked,
         )

@@ -69,6 +69,9 @@ def unit(
         str | None, typer.Option(metavar="ADDRESS", help="Use this camera instead of the lab's.")
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Do not send flight commands.")] = False,
+    preview: Annotated[
+        bool, typer.Option("--preview", help="Write pictures for the page of `skyherd live run`.")
+    ] = False,
     settings: Settings = None,
     insecure: Insecure = False,
     supervised: Supervised = False,
@@ -79,7 +82,7 @@ def unit(
 
     name = f"unit/{number}"
     with _process(lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s) as (context, end):
-        run_unit(context, number, address=camera, dry_run=dry_run)
+        run_unit(context, number, address=camera, dry_run=dry_run, previews=preview)
     return end.exit_code
 
 

@@ -72,6 +72,12 @@ ForceFolder = Annotated[
 
 ForceFile = Annotated[bool, typer.Option("--force", help="Replace a file of an earlier call.")]
 
+DEFAULT_PORT = 8440
+"""Port of a page. Chosen: not used by other common programs."""
+
+LOOPBACK = "127.0.0.1"
+"""Address at which only this computer can connect."""
+
 PagePort = Annotated[
     int, typer.Option(metavar="N", min=0, max=65535, help="Port of the page; 0 for any free one.")
 ]

@@ -8,14 +8,8 @@ import typer
 from skyherd.cli.choices import PERCEPTIONS, complete_perception, complete_scenario
 from skyherd.cli.console import say, warn
 from skyherd.cli.interrupts import telling_of_interrupts
-from skyherd.cli.options import PageHost, PagePort, ScenarioSettings
+from skyherd.cli.options import DEFAULT_PORT, LOOPBACK, PageHost, PagePort, ScenarioSettings
 from skyherd.errors import InputError
-
-DEFAULT_PORT = 8440
-"""Port of the page. Chosen: not used by other common programs."""
-
-LOOPBACK = "127.0.0.1"
-"""Address at which only this computer can connect."""
 
 
 def play(
@@ -51,9 +45,9 @@ def play(
 
     It prints the page's address. Ctrl-C ends it. Nothing is written unless you save.
     """
-    from skyherd.play.access import Access, bind
     from skyherd.play.extras import require_viser
     from skyherd.play.session import Session
+    from skyherd.report.access import Access, bind
 
     if perception is not None and perception not in PERCEPTIONS:
         raise InputError("--perception", f"{perception!r}", f"one of {', '.join(PERCEPTIONS)}")

@@ -8,8 +8,7 @@ import typer
 
 from skyherd.cli.console import say, warn
 from skyherd.cli.interrupts import telling_of_interrupts
-from skyherd.cli.options import ForceFile, PageHost, PagePort
-from skyherd.cli.play import DEFAULT_PORT, LOOPBACK
+from skyherd.cli.options import DEFAULT_PORT, LOOPBACK, ForceFile, PageHost, PagePort
 from skyherd.errors import InputError
 
 
@@ -52,8 +51,8 @@ def view(
             write_text(output.path, replay_html(recording.mission, recording.steps))
         say(f"see {output.path}")
         return 0
-    from skyherd.play.access import Access, bind
     from skyherd.play.view_page import ViewPage
+    from skyherd.report.access import Access, bind
 
     with bind(host, port) as listener:
         access = Access.make(host, listener.getsockname()[1])

@@ -4,6 +4,7 @@ import importlib
 import math
 import os
 import select
+import shutil
 import sys
 import time
 from collections import deque
@@ -19,6 +20,7 @@ from rich.text import Text
 from skyherd.errors import InputError
 from skyherd.live import operator
 from skyherd.live.cameras import check_camera
+from skyherd.live.cockpit import PREVIEWS, Cockpit, PageAddress, ProcessState
 from skyherd.live.lab import Lab, check_drivers
 from skyherd.live.live_clock import LiveClock
 from skyherd.live.name_locks import hold_name
@@ -53,6 +55,7 @@ def run_session(
     duration_s: float | None,
     settings: Sequence[str],
     insecure: bool,
+    page: PageAddress | None = None,
     say: Callable[[str], None],
     ended: Callable[[], bool],
 ) -> int:
@@ -68,6 +71,7 @@ def run_session(
         duration_s: duration of the run, or None.
         settings: settings that override the lab, passed on to the processes.
         insecure: allow a radio beyond this machine without TLS.
+        page: address of a page with the state of the run and a stop button, or None.
         say: prints a line.
         ended: called several times a second; True ends the run. Signals act only through it, so that repeated
             signals do not interrupt the shutdown.
@@ -76,7 +80,8 @@ def run_session(
         The exit code: 2 if a process refused its input, 1 if a process survives, else 0.
 
     Raises:
-        InputError: a camera or a driver cannot be used, or the folder exists. An address in `cameras` is
+        InputError: a camera or a driver cannot be used, or the folder exists. The page's address cannot be
+            used. An address in `cameras` is
             empty, or their number differs from the lab's cameras. The duration is not positive. Another
             process on this machine runs the team.
     """
@@ -86,24 +91,37 @@ def run_session(
         radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
         try:
             folder = _make_folder(folder, lab)
+            cockpit = None if page is None else _open_cockpit(lab, folder, page)
         except InputError:
             radio.close()
             raise
         console = Console()
         lines: deque[str] = deque(maxlen=LINES)
         shows = console.is_terminal
-        supervisor = Supervisor(folder / "live.log", lines.append if shows else say)
+
+        def tell(line: str) -> None:
+            lines.append(line)
+            if not shows:
+                say(line)
+
+        if cockpit is not None:
+            say(f"open {cockpit.url}")
+        supervisor = Supervisor(folder / "live.log", tell)
         watched = operator.watch(lab, radio, LiveClock(), SESSION)
         session = Session(lab, watched, supervisor.say, arms=armed)
         options = _process_options(folder, settings, insecure=insecure, dry_run=dry_run)
+        of_units = ["--preview"] if cockpit is not None else []
         end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
         try:
-            _start_all(supervisor, lab, lab_file, cameras, options)
+            _start_all(supervisor, lab, lab_file, cameras, options, of_units)
             with _keys() as key, _display(console if shows else None) as draw:
                 while not ended() and time.monotonic() < end_s and not _end_reason(supervisor):
                     supervisor.tend()
-                    session.step(key(), REFRESH_S)
-                    draw(_page(lab, watched, supervisor, lines))
+                    stops = cockpit is not None and cockpit.stop_asked()
+                    session.step(key(), REFRESH_S, page_stops=stops)
+                    draw(_dashboard(lab, watched, supervisor, lines, "" if cockpit is None else cockpit.url))
+                    if cockpit is not None:
+                        cockpit.show(_processes(watched, supervisor), watched, lines)
             if ended():
                 supervisor.say("live", "interrupted; ending all processes")
         finally:
@@ -112,6 +130,9 @@ def run_session(
             for line in closing_lines:
                 supervisor.say("live", line)
             left = supervisor.end()
+            if cockpit is not None:
+                cockpit.close()
+                shutil.rmtree(folder / PREVIEWS, ignore_errors=True)
             radio.close()
     if shows:  # Without a dashboard, these lines have been printed.
         for line in closing_lines:
@@ -143,18 +164,25 @@ class Session:
         self._met_other = False
         self._known_stop = watched.latch.stop
 
-    def step(self, pressed: str, timeout_s: float) -> None:
-        """Process messages for up to `timeout_s`, handle a key, and continue the current command."""
+    def step(self, pressed: str, timeout_s: float, *, page_stops: bool = False) -> None:
+        """Process messages for up to `timeout_s`, handle a key, and continue the current command.
+
+        Args:
+            pressed: the key, or an empty string.
+            timeout_s: longest wait for the first message.
+            page_stops: True if the page asks to stop; it has priority over any key.
+        """
         watched = self._watched
-        if pressed == " ":
-            self._begin("stopped", StopCommand(self._lab, watched, "space bar"), operator.SETTLE_S)
+        if page_stops or pressed == " ":
+            why = "page" if page_stops else "space bar"
+            self._begin("stopped", StopCommand(self._lab, watched, why), operator.SETTLE_S)
         watched.listen(timeout_s)
         if watched.latch.stop > self._known_stop:
             self._known_stop = watched.latch.stop
             if self.arms:
                 self.arms = False
                 self._tell("live", "the team was stopped: press a to arm the robots")
-        if pressed == "a":
+        if pressed == "a" and not page_stops:
             self._begin("armed", ArmCommand(self._lab, watched), operator.SETTLE_S)
         elif self.arms and self._all_ready():
             self.arms = False
@@ -258,34 +286,60 @@ def _make_folder(folder: Path | None, lab: Lab) -> Path:
     return folder
 
 
+def _open_cockpit(lab: Lab, folder: Path, page: PageAddress) -> Cockpit:
+    """Open the page of a run; without it, the new folder is removed. See `run_session`."""
+    try:
+        return Cockpit(lab, folder / PREVIEWS, page)
+    except InputError:
+        folder.rmdir()
+        raise
+
+
 def _start_all(
-    supervisor: Supervisor, lab: Lab, lab_file: str, cameras: Sequence[str], options: Sequence[str]
+    supervisor: Supervisor,
+    lab: Lab,
+    lab_file: str,
+    cameras: Sequence[str],
+    options: Sequence[str],
+    of_units: Sequence[str],
 ) -> None:
-    """Start a process for each unit and each robot, all with the same options."""
+    """Start a process for each unit and each robot, all with the same options, and units with more."""
     for unit in range(len(lab.model.cameras)):
         camera = ["--camera", cameras[unit]] if cameras else []
-        supervisor.add(f"unit/{unit}", ["unit", lab_file, str(unit), *camera, *options])
+        supervisor.add(f"unit/{unit}", ["unit", lab_file, str(unit), *camera, *options, *of_units])
     for robot in lab.ids:
         supervisor.add(f"robot/{robot}", ["robot", lab_file, str(robot), *options])
 
 
-def _page(lab: Lab, watched: operator.Watch, supervisor: Supervisor, lines: Sequence[str]) -> Group:
-    """Return the dashboard."""
+def _processes(watched: operator.Watch, supervisor: Supervisor) -> list[ProcessState]:
+    """Return the states of all processes of the run."""
     alive = watched.alive()
-    armed = sum(heartbeat.armed for heartbeat in alive.values())
-    table = Table(box=None, header_style="bold")
-    for column in ("process", "starts", "armed", "state"):
-        table.add_column(column)
+    states = []
     for child in supervisor.children:
         heartbeat = alive.get(child.name)
         says = "no heartbeat" if heartbeat is None else printable(heartbeat.state)
         says = f"two processes are named {child.name}" if watched.is_ambiguous(child.name) else says
-        mark = "" if heartbeat is None or not heartbeat.session else "ARMED" if heartbeat.armed else "no"
-        table.add_row(child.name, str(child.restarts + 1), mark, Text(says))
+        armed = None if heartbeat is None or not heartbeat.session else heartbeat.armed
+        states.append(ProcessState(child.name, child.restarts + 1, armed, says))
+    return states
+
+
+def _dashboard(
+    lab: Lab, watched: operator.Watch, supervisor: Supervisor, lines: Sequence[str], url: str
+) -> Group:
+    """Return the dashboard; `url` is the address of the page, if there is one."""
+    armed = sum(heartbeat.armed for heartbeat in watched.alive().values())
+    table = Table(box=None, header_style="bold")
+    for column in ("process", "starts", "armed", "state"):
+        table.add_column(column)
+    for process in _processes(watched, supervisor):
+        mark = "" if process.armed is None else "ARMED" if process.armed else "no"
+        table.add_row(process.name, str(process.starts), mark, Text(process.state))
     head = (
         f"team {lab.model.team}: {armed} of {len(lab.ids)} robots armed.  a: arm   space: STOP   Ctrl-C: end"
     )
-    return Group(Text(head, style="bold"), table, Text("\n".join(lines)))
+    below = [f"page: {url}"] if url else []
+    return Group(Text(head, style="bold"), table, Text("\n".join([*below, *lines])))
 
 
 @contextmanager

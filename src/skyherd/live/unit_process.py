@@ -10,6 +10,7 @@ import numpy as np
 
 from skyherd.errors import InputError
 from skyherd.live.cameras import CameraReader, Frame, MirrorWatch, open_camera
+from skyherd.live.cockpit import PREVIEWS, PreviewWriter
 from skyherd.live.drivers import WORLD, open_driver
 from skyherd.live.logs.frame_log import FrameLog
 from skyherd.live.logs.process_log import ProcessLog
@@ -28,7 +29,12 @@ NEWEST_S = 0.02
 
 
 def run_unit(
-    context: ProcessContext, unit: int, *, address: str | None = None, dry_run: bool = False
+    context: ProcessContext,
+    unit: int,
+    *,
+    address: str | None = None,
+    dry_run: bool = False,
+    previews: bool = False,
 ) -> None:
     """Run one unit until `context.ended()`, or until the end of a recorded video.
 
@@ -37,6 +43,7 @@ def run_unit(
         unit: its number.
         address: address of a camera instead of the lab's.
         dry_run: send no flight commands.
+        previews: write pictures for the page of the run into the folder of the recordings.
     """
     lab = context.lab
     camera, core = lab.camera(unit), lab.make_unit(unit)
@@ -54,8 +61,11 @@ def run_unit(
         frame_log = stack.enter_context(
             FrameLog(unit, pictures.image_rate_hz, pictures.image_width_px, lab.model.markers.side_m)
         )
+        preview = stack.enter_context(PreviewWriter(context.folder / PREVIEWS if previews else None, unit))
         fly = _autopilot(context, mailbox, stack, unit, dry_run=dry_run)
-        at_work = UnitAtWork(context, core, mailbox, reader, detector, fly, process_log, frame_log, status)
+        at_work = UnitAtWork(
+            context, core, mailbox, reader, detector, fly, process_log, frame_log, preview, status
+        )
         while not (context.ended() or reader.ended):
             frame = reader.newest(NEWEST_S)
             at_work.listen()
@@ -81,6 +91,7 @@ class UnitAtWork:
         fly: called with each flight command.
         process_log: its recording.
         frame_log: makes the preview images of the recording.
+        preview: writes pictures for the page of the run.
         status: its status line.
     """
 
@@ -92,6 +103,7 @@ class UnitAtWork:
     fly: Callable[[FlightCommand], object]
     process_log: ProcessLog
     frame_log: FrameLog
+    preview: PreviewWriter
     status: StatusLine
     _heartbeat_timer: HeartbeatTimer = field(default_factory=HeartbeatTimer, init=False)
     _state: str = field(default="no image yet", init=False)
@@ -123,6 +135,7 @@ class UnitAtWork:
         found_s = clock()
         news, view = (None, None) if trouble else self._decide(frame, detections, begun_s, found_s)
         self.frame_log.show(frame.image, detections, None if news is None else news.decision, view)
+        self.preview.show(frame.image, detections, view, trouble)
         self._state = _described(detections, view)
         return trouble
 

@@ -11,13 +11,13 @@ from threading import Thread
 from time import perf_counter, sleep
 
 from skyherd.loop import Step
-from skyherd.play.access import Access
 from skyherd.play.messages import MessageFilter
 from skyherd.play.panel import Panel
 from skyherd.play.pictures import LiveImages
 from skyherd.play.scene import Scene
 from skyherd.play.server import start_server, stop_server
 from skyherd.play.session import End, Session
+from skyherd.report.access import Access
 
 DRAWING_SHARE = 0.2
 """Share of its time for which the drawing thread works. Chosen: the loop keeps 0.8 of its rate on two cores

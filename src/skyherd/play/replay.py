@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 from skyherd.datasets import Mission
 from skyherd.loop import Step
-from skyherd.play.access import Access, bind
 from skyherd.play.messages import MessageFilter
 from skyherd.play.pictures import LiveImage, LiveImages
 from skyherd.play.poses import Window, view_of
 from skyherd.play.scene import TRACE_S, Scene
 from skyherd.play.server import start_server, stop_server
+from skyherd.report.access import Access, bind
 
 if TYPE_CHECKING:
     import viser

@@ -14,9 +14,9 @@ from viser._messages import SetCameraLookAtMessage, SetCameraPositionMessage
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from skyherd.play.access import Access
 from skyherd.play.messages import MAX_BYTES, MessageFilter
 from skyherd.play.poses import Place
+from skyherd.report.access import Access
 
 MAX_REFUSED = 20
 """Refused messages after which a connection is closed. Chosen: the page sends none."""

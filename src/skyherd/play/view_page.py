@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from skyherd.datasets import Mission
 from skyherd.loop import Step
-from skyherd.play.access import Access
 from skyherd.play.buttons import Controls, ignoring_event
 from skyherd.play.controls import TOUCH_S
 from skyherd.play.curves import Curves
@@ -23,6 +22,7 @@ from skyherd.play.replay import Replay
 from skyherd.play.server import start_server, stop_server
 from skyherd.play.session import End, SetSpeed
 from skyherd.play.wording import describe, escaped, state_line
+from skyherd.report.access import Access
 
 if TYPE_CHECKING:
     import viser

@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from enum import StrEnum
 from itertools import combinations
@@ -291,23 +292,28 @@ def watch_camera(lab: Lab, unit: int, seconds: float) -> CameraSurvey:
     return survey
 
 
-def team_findings(lab: Lab, surveys: Sequence[CameraSurvey]) -> Iterator[Finding]:
-    """Yield the results for all cameras together: robots that none sees, and overlap."""
-    lost = sorted(set(lab.ids) - {robot for survey in surveys for robot in survey.seen})
+def team_findings(lab: Lab, seen: Sequence[AbstractSet[int]]) -> Iterator[Finding]:
+    """Yield the results for all cameras together: robots that none sees, and overlap.
+
+    Args:
+        lab: the lab.
+        seen: robots that each camera sees.
+    """
+    lost = sorted(set(lab.ids).difference(*seen))
     if lost:
         yield Finding(Level.PROBLEM, f"robots {_named(lost)} seen by no camera: move a camera, or the robots")
-    if len(surveys) < 2:
+    if len(seen) < 2:
         return
     joined, edges = {0}, []
-    for one, other in combinations(range(len(surveys)), 2):
-        shared = sorted(set(surveys[one].seen) & set(surveys[other].seen))
+    for one, other in combinations(range(len(seen)), 2):
+        shared = sorted(seen[one] & seen[other])
         if shared:
             yield Finding(Level.GOOD, f"cameras {one} and {other} share robots {_named(shared)}")
         if len(shared) >= MIN_SHARED:
             edges.append({one, other})
-    for _ in surveys:
+    for _ in seen:
         joined |= {unit for edge in edges if edge & joined for unit in edge}
-    apart = sorted(set(range(len(surveys))) - joined)
+    apart = sorted(set(range(len(seen))) - joined)
     if apart:
         text = f"cameras {_named(apart)} share fewer than {MIN_SHARED} robots with the others"
         yield Finding(Level.ADVICE, f"{text}: let their images overlap more")

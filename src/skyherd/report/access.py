@@ -1,6 +1,4 @@
-"""Access to the page: who may connect, and which messages of a browser are acted on.
-
-viser itself checks neither. `server` puts these checks, and those of `messages`, in front of it:
+"""Access to a page that a running program serves: who may connect.
 
 - A request names the server by an allowed host, so that a foreign name that resolves to this computer (DNS
   rebinding) is refused.
@@ -55,7 +53,7 @@ class Access:
     @property
     def cookie(self) -> str:
         """Name of the cookie with the token. Cookies of one host are shared by all of its ports."""
-        return f"skyherd_play_{self.port}"
+        return f"skyherd_{self.port}"
 
     def allows_host(self, header: str) -> bool:
         """Return whether a header `Host` names this server."""
@@ -78,7 +76,7 @@ class Access:
         if (is_socket or origin) and origin != f"http://{host}":
             return "foreign origin"
         if not self._matches(self._cookie_of(headers["Cookie"])):
-            return "no valid token; open the address that `skyherd play` printed"
+            return "no valid token; open the address that was printed"
         return None
 
     def has_token(self, path: str, host: str) -> bool:

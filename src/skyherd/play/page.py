@@ -82,6 +82,7 @@ class Page:
                 if self._step is not None:
                     mission = self.session.mission
                     images = list(self._images.draw(self._step, mission))
+                    self._scene.believer = self._panel.believer
                     self._scene.draw(self._step, mission, images)
                     self._panel.show(self._step, mission, images)
                 cost_s = perf_counter() - started_s

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from skyherd.datasets import Mission
 from skyherd.geometry import RgbImage
 from skyherd.loop import Step
+from skyherd.play.belief import BeliefChoice
 from skyherd.play.buttons import Controls, ignoring_event
 from skyherd.play.controls import Sliders, unit_quantities
 from skyherd.play.curves import Curves
@@ -86,12 +87,18 @@ class Panel:
             self._add_displays()
             self._add_saving()
         with tabs.add_tab("Cameras"):
+            self._belief = BeliefChoice(self._controls, len(images))
             self._units: list[Sliders] = []
             self._lives: list[Any] = []
             self._pictures = [self._add_unit(unit, image) for unit, image in enumerate(images)]
         with tabs.add_tab("Team"):
             self._team = TeamTab(self._controls, session, self._grab, self._sketch)
         self._add_keys()
+
+    @property
+    def believer(self) -> int | None:
+        """Unit whose knowledge is to be shown, or None."""
+        return self._belief.unit
 
     def choose(self, choice: str) -> None:
         """Put the handle at `robot ID` or `unit NUMBER`; `nothing` hides it. Not while a shape is drawn."""

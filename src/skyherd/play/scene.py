@@ -16,7 +16,8 @@ from skyherd.datasets import Mission
 from skyherd.drawing.palette import INK, TEMPLATE_COLOR, rgb, unit_rgb
 from skyherd.errors import DegenerateSetError
 from skyherd.geometry import Array, to_complex, to_points
-from skyherd.loop import Step
+from skyherd.loop import Step, UnitFrame
+from skyherd.play.belief import belief_of
 from skyherd.play.bodies import DEAD, UNIT_SIZE, Bodies
 from skyherd.play.lines import CIRCLE_SEGMENTS, Lines, chain, circles, lifted
 from skyherd.play.pictures import LiveImage, ground_picture
@@ -49,7 +50,11 @@ LIFT_SIDES = 0.02
 GREY = (92, 98, 106)
 """Colour of traces, and of rings around robots that no unit controls. Chosen: contrast of 3 to the ground."""
 
-LINES = {"traces": 1.5, "outline": 3.0, "goals": 1.5, "rings": 3.0, "tree": 3.0}
+SEEN_SIDES = 0.7
+"""Radius of the ring at the place where a unit believes a robot, marker sides. Chosen: differs from the ring
+around the robot."""
+
+LINES = {"traces": 1.5, "outline": 3.0, "goals": 1.5, "rings": 3.0, "tree": 3.0, "belief": 2.0}
 """Sets of lines, and their widths on the screen, px."""
 
 
@@ -62,6 +67,7 @@ class Scene:
 
     Attributes:
         corners_m: (N, 3) points around the robots, obstacles and units at the start.
+        believer: unit whose knowledge is shown, or None.
     """
 
     def __init__(self, server: "viser.ViserServer", mission: Mission) -> None:
@@ -71,6 +77,8 @@ class Scene:
         self._past_m: deque[Array] = deque(maxlen=TRACE_POINTS)
         self._past_s = -TRACE_S
         self._dead: frozenset[int] = frozenset()
+        self._newest: dict[int, tuple[UnitFrame, Step]] = {}
+        self.believer: int | None = None
         self._scene.reset()
         self._scene.set_up_direction("+z")
         self._add_ground(mission)
@@ -104,9 +112,11 @@ class Scene:
         """Forget the traces of the run before."""
         self._past_m.clear()
         self._past_s = -TRACE_S
+        self._newest.clear()
 
     def collect(self, step: Step) -> None:
         """Keep what later drawings need of a step that is not drawn."""
+        self._newest.update({unit: (frame, step) for unit, frame in step.frames.items()})
         if step.time_s - self._past_s >= TRACE_S / TRACE_POINTS:
             self._past_s = step.time_s
             self._past_m.append(step.positions_m)
@@ -151,6 +161,7 @@ class Scene:
             ways = np.stack([lifted(step.positions_m, low_m), goals_m], axis=1)
             goals_m = np.concatenate([ways, circles(goals_m, GOAL_SIDES * self._side_m)])
         self._lines["goals"].show(goals_m, purple)
+        self._lines["belief"].show(*self._belief(mission, dead))
         self._lines["rings"].show(*self._rings(step))
         self._lines["tree"].show(*self._tree(step, dead))
 
@@ -164,6 +175,24 @@ class Scene:
         height_m = 2 * LIFT_SIDES * self._side_m
         lines = [lifted(to_points(fit(line.conj())), height_m) for line in mission.outline_at(step.time_s)]
         return lifted(to_points(fit(template)), height_m), lines
+
+    def _belief(self, mission: Mission, dead: frozenset[int]) -> tuple[Array, Array]:
+        """Return the segments of a unit's knowledge, and its colour; none if no unit is chosen."""
+        unit = self.believer
+        belief = None
+        if unit is not None and unit in self._newest and unit not in dead:
+            belief = belief_of(*self._newest[unit], mission)
+        if unit is None or belief is None:
+            return np.zeros((0, 2, 3)), np.array(GREY)
+        height_m = 4 * LIFT_SIDES * self._side_m
+        starts_m, goals_m = lifted(belief.starts_m, height_m), lifted(belief.goals_m, height_m)
+        parts = [
+            circles(lifted(belief.seen_m, height_m), SEEN_SIDES * self._side_m),
+            np.stack([starts_m, goals_m], axis=1),
+            circles(goals_m, GOAL_SIDES * self._side_m),
+            *(chain(lifted(line, height_m)) for line in belief.outline_m),
+        ]
+        return np.concatenate(parts), np.array(unit_rgb(unit))
 
     def _rings(self, step: Step) -> tuple[Array, Array]:
         """Return the segments of the rings around the robots, and their colours by controlling unit."""

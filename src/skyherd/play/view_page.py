@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from skyherd.datasets import Mission
 from skyherd.loop import Step
+from skyherd.play.belief import BeliefChoice
 from skyherd.play.buttons import Controls, ignoring_event
 from skyherd.play.controls import TOUCH_S
 from skyherd.play.curves import Curves
@@ -121,8 +122,9 @@ class ViewPage:
         index = self._replay.index_at(self.time_s)
         step, mission = self._replay.steps[index], self._replay.mission
         images: list[LiveImage] = []
-        if index != self._index:
-            self._index = index
+        scene, believer = self._replay.scene, self._belief.unit
+        if index != self._index or believer != scene.believer:
+            self._index, scene.believer = index, believer
             images = self._replay.draw(index)
         self._state.content = state_line(step, mission, "paused" if self.is_paused else "playing")
         self._button.label = "Play (P)" if self.is_paused else "Pause (P)"
@@ -155,6 +157,7 @@ class ViewPage:
         self._bar.on_update(self._seek)
         speed = controls.known(gui.add_dropdown("speed", list(VIEW_SPEEDS), initial_value="1 ×"))
         speed.on_update(lambda _: self.ask(SetSpeed(VIEW_SPEEDS[speed.value])))
+        self._belief = BeliefChoice(controls, len(self._replay.mission.scenario.units))
         curves = Curves(gui)
         for step in steps:
             curves.collect(step)

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from skyherd.cli import main
 from skyherd.datasets import load_mission
+from skyherd.files.video_writer import VideoSink
 from skyherd.markers.layout import MarkerLayout, Place
 from skyherd.poses.marker_poses import pose_difference
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot, facing_rows
@@ -241,7 +242,7 @@ class TestWrongInput:
     def test_calibrations(self, survey, calibration, tmp_path) -> None:
         picture = take(tmp_path / "a.png", POSES[2], np.arange(3), POSITIONS_M[:3], HEADINGS_RAD[:3], seed=90)
         two = ("--camera", str(calibration))
-        self.check(survey(picture, tmp_path / "b.png", *two, *two), "3 calibrations for 2 pictures", tmp_path)
+        self.check(survey(picture, tmp_path / "b.png", *two, *two), "3 calibrations for 2 files", tmp_path)
         Image.new("L", (320, 240), 200).save(tmp_path / "small.png")
         self.check(survey(tmp_path / "small.png"), "320", tmp_path)
         Image.new("L", (800, 600), 200).save(tmp_path / "empty.png")
@@ -253,3 +254,38 @@ class TestWrongInput:
         code, said, _ = outcome
         assert code == 2 and words in said.err and said.err.strip().count("\n") == 0
         assert "Traceback" not in said.err and not (tmp_path / "out").exists()
+
+
+def test_layout_is_learned_from_a_video(survey, tmp_path) -> None:
+    """The robot turns below a slanting camera; its first second shows an empty table."""
+    layout = MarkerLayout.make([3], BOX)
+    pose = CameraPose((-0.8, 0.0), 0.9, 0.0, (0.0, np.radians(-38.0)))
+    renderer = Renderer("4X4_50", SIDE_M, Ground(3), Sensor(2.0, np.random.default_rng(3)))
+    path = tmp_path / "turn.mp4"
+    with VideoSink(path, CAMERA.size_px, 10.0) as video:
+        for k in range(46):
+            at, turn = np.zeros((4, 2)), np.full(4, 2 * np.pi * (k - 10) / 36)
+            rows = facing_rows(pose, at, turn, SIDE_M, layout.frames)
+            rows = rows if k >= 10 else rows[:0]
+            image = renderer.render(
+                Shot(CAMERA, pose, layout.ids[rows], at[rows], turn[rows], frames=layout.frames[rows])
+            )
+            video.write(np.repeat(image[..., None], 3, axis=2))
+    code, said, frame = survey(path, "--fixed", "3,13,23,33", "--layout", "--images", "46")
+    assert code == 0 and 1 < frame["variance_factor"] < 2, "compressed images"
+    assert [one["id"] for one in frame["markers"]] == [3, 13, 23, 33]
+    assert len(frame["cameras"]) == 36 and frame["cameras"][0]["picture"] == "turn 1.00 s"
+    for place in BOX:
+        (found,) = [one for one in frame["markers"] if one["id"] == 3 + place.add_to_id]
+        true_m = SIDE_M * np.array([*place.offset_sides, place.height_sides - 1.5])
+        assert np.abs(np.array(found["position_m"]) - true_m).max() < 0.002
+    assert said.out.count("add_to_id") == 4
+
+
+def test_video_without_marker_is_one_error(survey, tmp_path) -> None:
+    path = tmp_path / "empty.mp4"
+    with VideoSink(path, (800, 600), 10.0) as video:
+        for _ in range(5):
+            video.write(np.full((600, 800, 3), 128, np.uint8))
+    code, said, _ = survey(path)
+    assert code == 2 and said.err.count("\n") == 1 and "shows no marker of 4X4_50" in said.err

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
 
 
 def survey(
-    pictures: Annotated[list[Path], typer.Argument(metavar="PICTURE", help="Pictures of the same markers.")],
+    pictures: Annotated[
+        list[Path],
+        typer.Argument(metavar="PICTURE|VIDEO|BAG", help="Pictures and recordings of the same markers."),
+    ],
     marker_side_m: Annotated[
         float, typer.Option(metavar="M", help="Side of the markers' black square.", show_default=False)
     ],
@@ -50,6 +53,10 @@ def survey(
             "--layout", help="Print the frame's markers as the layout of one robot, for TOML files."
         ),
     ] = False,
+    frames: Annotated[
+        int,
+        typer.Option("--images", metavar="N", min=1, max=500, help="Take this many images of a recording."),
+    ] = 20,
     dictionary: Dictionary = "4X4_50",
     detector: Detector = "photometric",
     out_dir: Annotated[
@@ -100,6 +107,8 @@ def survey(
             detector=detector,
             border_bits=border_bits,
             inverted=inverted,
+            frames=frames,
+            fixed=members,
             progress=progress,
         )
         found = measure(views, side_m, reference=reference, fixed=members, coplanar=one_plane)
@@ -111,7 +120,10 @@ def survey(
             say(line)
     names = ", ".join(str(folder / name) for name in (MARKERS, CAMERAS, FRAME))
     say(f"see {folder / PLAN}, {names}")
-    if found.frame.consistent:
+    if found.is_consistent:
+        if found.variance_factor > 1:
+            times = found.variance_factor**0.5
+            say(f"errors are {times:.2g} times those of image noise; the standard deviations contain this")
         return 0
     warn(
         f"{folder}: the pictures contradict each other (chi-squared {found.frame.chi_squared:.3g} at "

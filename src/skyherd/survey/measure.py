@@ -9,6 +9,10 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array
 from skyherd.poses import CommonFrame, View, common_frame, marker_poses
 
+MAX_VARIANCE_FACTOR = 4.0
+"""Largest factor by which residuals may exceed the variance of the image noise. Chosen: compression and what
+a calibration leaves of a lens double the errors at most; a marker that moved exceeds it by far."""
+
 
 @dataclass(frozen=True)
 class MarkerPose:
@@ -55,7 +59,9 @@ class Survey:
         side_m: side of the markers.
         markers: markers of the frame by id, then the others by picture.
         cameras: the cameras, a row for each picture.
-        frame: the joint fit.
+        frame: the joint fit, with covariances of the image noise alone.
+        variance_factor: factor by which all other covariances exceed those of the image noise: χ² over its
+            degrees of freedom, or 1 if chance explains the residuals.
     """
 
     reference: int
@@ -63,6 +69,12 @@ class Survey:
     markers: list[MarkerPose]
     cameras: list[CameraPose]
     frame: CommonFrame
+    variance_factor: float
+
+    @property
+    def is_consistent(self) -> bool:
+        """True if no marker moved, and side and calibration fit."""
+        return self.variance_factor <= MAX_VARIANCE_FACTOR
 
 
 def survey(
@@ -94,27 +106,34 @@ def survey(
                 view.name, "shows no marker of --fixed", "markers that it shows, or leave it out"
             )
     frame = common_frame(of_frame, side_m, reference=reference, coplanar=coplanar)
+    factor = 1.0 if frame.consistent else frame.chi_squared / frame.freedoms
     # The reference has no error by definition.
     spread = np.diagonal(frame.marker_covariances(), axis1=1, axis2=2).sum(axis=1)
     markers = [
         MarkerPose(int(marker), None, *pose)
         for marker, *pose in zip(
-            frame.ids, frame.rotations, frame.positions_m, frame.marker_covariances(), strict=True
+            frame.ids, frame.rotations, frame.positions_m, factor * frame.marker_covariances(), strict=True
         )
     ]
     cameras = [
         CameraPose(view.name, *pose)
         for view, *pose in zip(
-            views, frame.camera_rotations, frame.camera_positions_m, frame.camera_covariances(), strict=True
+            views,
+            frame.camera_rotations,
+            frame.camera_positions_m,
+            factor * frame.camera_covariances(),
+            strict=True,
         )
     ]
     if fixed is not None:
         for view, camera in zip(views, cameras, strict=True):
-            markers += _moving(view, camera, fixed, side_m)
-    return Survey(int(frame.ids[np.argmin(spread)]), side_m, markers, cameras, frame)
+            markers += _moving(view, camera, fixed, side_m, factor)
+    return Survey(int(frame.ids[np.argmin(spread)]), side_m, markers, cameras, frame, factor)
 
 
-def _moving(view: View, camera: CameraPose, fixed: Sequence[int], side_m: float) -> list[MarkerPose]:
+def _moving(
+    view: View, camera: CameraPose, fixed: Sequence[int], side_m: float, factor: float
+) -> list[MarkerPose]:
     """Return the poses of the markers of a view that are not of the frame.
 
     The errors of camera and marker are independent, since the marker is not in the fit of the camera:
@@ -135,7 +154,7 @@ def _moving(view: View, camera: CameraPose, fixed: Sequence[int], side_m: float)
         x, y, z = turn @ place
         by_camera = np.eye(6)
         by_camera[:3, 3:] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        covariance = by_camera @ camera.covariance @ by_camera.T + both @ own @ both.T
+        covariance = by_camera @ camera.covariance @ by_camera.T + factor * both @ own @ both.T
         position_m = camera.position_m + turn @ place
         poses.append(MarkerPose(int(marker), view.name, turn @ rotation, position_m, covariance))
     return poses

@@ -97,7 +97,8 @@ def _record(found: Survey) -> dict[str, Any]:
     return {
         "reference": found.reference,
         "side_m": found.side_m,
-        "consistent": found.frame.consistent,
+        "consistent": found.is_consistent,
+        "variance_factor": found.variance_factor,
         "chi_squared": found.frame.chi_squared,
         "degrees_of_freedom": found.frame.freedoms,
         "markers": [{"id": one.id, "picture": one.view, **_full(one)} for one in found.markers],
@@ -105,7 +106,7 @@ def _record(found: Survey) -> dict[str, Any]:
         "joint_covariance": {
             "markers": found.frame.ids.tolist(),
             "cameras": [camera.view for camera in found.cameras],
-            "values": found.frame.covariance.tolist(),
+            "values": (found.variance_factor * found.frame.covariance).tolist(),
         },
     }
 

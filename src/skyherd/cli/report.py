@@ -7,12 +7,18 @@ import typer
 
 from skyherd.cli.console import say, warn
 from skyherd.cli.run_folders import is_simulated_run
+from skyherd.cli.view import write_replay
+from skyherd.errors import InputError
 
 
 def report(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="A folder of `skyherd run` or `skyherd live run`.")
     ],
+    replay: Annotated[
+        bool,
+        typer.Option("--replay", help="Show the simulated run in 3-D on the page, from a file beside it."),
+    ] = False,
 ) -> int:
     """Make figures, summary and page again from a recorded run.
 
@@ -21,10 +27,14 @@ def report(
     """
     from skyherd.jobs.helpers import cores
     from skyherd.live.review import make_live_report
-    from skyherd.report.run_page import PAGE
+    from skyherd.report.run_page import PAGE, REPLAY
     from skyherd.runner import RECORDING, make_report
 
     is_simulated = is_simulated_run(folder, "report")
+    if replay:
+        if not is_simulated:
+            raise InputError("--replay", f"{folder} is of a live run", "leave it out, or a simulated run")
+        write_replay(folder / RECORDING, folder / REPLAY, force=True)
     summary = make_report(folder, jobs=cores()) if is_simulated else make_live_report(folder)
     if "recording" in summary:
         where = folder / RECORDING if is_simulated else folder

@@ -14,6 +14,9 @@ from skyherd.report.pages import Tile, figure_card, render_page, video_card
 PAGE, VIDEO, PHONE_VIDEO = "report.html", "video.mp4", "video-phone.mp4"
 """Files in a run's folder: the page, and the videos that it shows from beside it."""
 
+REPLAY = "replay.html"
+"""File in a run's folder with the run in 3-D, which the page shows from beside it if it exists."""
+
 PAPER = "https://doi.org/10.1109/TCST.2018.2834308"
 """Address of the paper whose controller the runs use."""
 
@@ -74,6 +77,7 @@ def write_page(
         is_good=summary["complete"] and summary["converged"],
         status=_status(summary),
         videos=[video_card(folder / name, shape) for name, shape in videos if (folder / name).exists()],
+        replay=REPLAY if (folder / REPLAY).exists() else None,
         paper=PAPER,
         tiles=[Tile(value_text(fields[key], summary.get(key)), fields[key].label) for key in TILES],
         figures=[figure_card(figure) for figure in figures],

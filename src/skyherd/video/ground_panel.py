@@ -63,8 +63,17 @@ FOLLOWING = 0.15
 SETTLED_PX = 1.0
 """Distance from its aim at which the view rests, px. Chosen: not visible."""
 
-OUTLINE_PX = 3
+OUTLINE_PX = 5
 """Width of the shape's outline, px. Chosen: visible in a video shown 390 px wide."""
+
+PATH_SHARE, VIEW_SHARE = 0.2, 0.5
+"""Shares of a unit's colour in its path and in the border of its view. Chosen: both stay behind the shape."""
+
+
+def pale(color: Color, share: float) -> Color:
+    """Return a mixture of a colour and the field's."""
+    r, g, b = (round(share * own + (1 - share) * field) for own, field in zip(color, FIELD, strict=True))
+    return r, g, b
 
 
 class GroundPanel:
@@ -123,11 +132,13 @@ class GroundPanel:
         dead = frozenset[int]() if tree is None else tree.dead
         for unit, corners in enumerate(corners_m):
             if unit not in dead:
-                draw_lines(self._field, [self.to_panel(corners)], unit_rgb(unit), closed=True)
-        self._draw_shape(step, shape_m)
+                draw_lines(
+                    self._field, [self.to_panel(corners)], pale(unit_rgb(unit), VIEW_SHARE), closed=True
+                )
         if tree is not None:
             units, robots = self.to_panel(step.fleet.positions_m), self.to_panel(step.positions_m)
             self._tree.draw_edges(self._field, tree, units, robots, step.time_s)
+        self._draw_shape(step, shape_m)
         self._draw_robots(step, tree)
         self._draw_units(step, tree)
 
@@ -191,7 +202,7 @@ class GroundPanel:
         robots = self.mission.ids.size
         draw_lines(self._paper, places[:robots], FAINT)
         for unit, path in enumerate(places[robots:]):
-            draw_lines(self._paper, [path], unit_rgb(unit))
+            draw_lines(self._paper, [path], pale(unit_rgb(unit), PATH_SHARE))
 
     def _draw_tails(self, robots: int) -> None:
         for steps, color in TAILS:

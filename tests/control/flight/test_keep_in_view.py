@@ -375,6 +375,16 @@ class TestLearnedCeiling:
             flight.command(seen, FlightTask(TEMPLATE.ids, TEMPLATE.ids, widen=True), [])
             assert flight.ceiling.side_px == 0
 
+    def test_descent_begins_the_test_again(self, make_detections) -> None:
+        """Climbs of 1.4 s with a short descent between them teach nothing; without descents they do."""
+        for descent_mps, learns in ((-0.1, False), (0.0, False), (1.0, True)):
+            flight = KeepInView(TEMPLATE, min_side_px=0.0)
+            seen = [view_of(make_detections, [0.1, -0.1], time_s=0.2 * tick) for tick in range(32)]
+            for tick, one in enumerate(seen):
+                flight.ceiling.look(one, 20.0)
+                flight.ceiling.command(descent_mps if tick % 8 == 7 else 1.0)
+            assert (flight.ceiling.side_px > 0) == learns
+
     def test_hovering_teaches_no_ceiling(self, make_detections) -> None:
         """Without a commanded climb an unchanged scale shows nothing."""
         flight = KeepInView(TEMPLATE, min_side_px=0.0)

@@ -363,6 +363,14 @@ class TestPerimeter:
         assert abs(command.lateral_mps[1]) == pytest.approx(0.2, abs=1e-9)
         assert command.climb_mps == pytest.approx(abs(0.7 + 0.5j) - 0.7, abs=1e-9)
 
+    @pytest.mark.parametrize("half_edge", [0.2, 0.5, 1.5])
+    def test_pull_leads_to_the_foot_on_an_edge_of_any_length(self, make_detections, half_edge) -> None:
+        """The foot of the perpendicular from the centre divides the nearest edge in the ratio 3 to 1."""
+        ends = np.array([0.05 - 0.5j * half_edge, 0.05 + 1.5j * half_edge])
+        seen = make_detections(range(4), 399.5 + 399.5j + 400 * np.append(ends, ends - 2.0))
+        command = Perimeter(0.7, speed_mps=0.0, lateral_gain_mps=2.0).command(seen, FlightTask(seen.ids), [])
+        np.testing.assert_allclose(command.lateral_mps, [0.1, 0.0], atol=1e-9)
+
     def test_descends_to_small_hull(self, make_detections) -> None:
         """The farthest robot is 0.3 nearer than the desired radius."""
         points = 399.5 + 399.5j + 400 * np.array([0.4, -0.2 + 0.1j, -0.2 - 0.1j])

@@ -1,5 +1,7 @@
 """Markers with unknown or repeated ids are bodies without identity, which robots avoid."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -109,6 +111,25 @@ class TestMemory:
         listener.hear(0.0, {1: 3.0})
         listener.hear(0.1, {1: 30.0}, unit_id=1)
         assert listener.known(0.1) == [(ANONYMOUS_ID, 3.0)]
+
+    @pytest.mark.parametrize("side", BORDER_IDS.tolist())
+    def test_side_of_an_image_that_moved_leaves_no_body(self, make_detections, side) -> None:
+        """A camera that pans takes the sides of its image along; they are no bodies."""
+        listener = Listener(make_detections)
+        seen = proximity(make_detections([0], [0j]), TEAM, RULE)
+        near = {
+            "robot_ids": np.array([0]),
+            "other_ids": np.array([side]),
+            "distances_sides": np.array([3.0]),
+            "bearings_rad": np.zeros(1),
+            "reaches_sides": np.ones(1),
+            "shares": np.ones(1),
+            "ways_sides": np.zeros(1),
+        }
+        listener.memory.receive(replace(seen, **near))
+        assert listener.known(0.0) == [(side, 3.0)]
+        listener.memory.receive(replace(seen, time_s=0.1))
+        assert listener.known(0.1) == []
 
     @pytest.mark.parametrize("speed", [1.0, np.inf])
     def test_reachable_place_replaces_earlier_one(self, make_detections, speed) -> None:

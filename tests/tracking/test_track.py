@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from bags import raw, write_bag
 from five_markers import cubes, five_markers
+from scipy.spatial.transform import Rotation
 
 from skyherd.cli import main
 from skyherd.control import Template, fit_similarity
@@ -16,6 +17,9 @@ from skyherd.geometry import to_complex
 from skyherd.loop import run_steps
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.messages import Detections
+from skyherd.poses.marker_poses import pose_difference
+from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
+from skyherd.render.camera.camera import rotation_camera_world
 from skyherd.tracking import GroundTracks, named_shape, shape_errors, track_videos
 from skyherd.vision import create_detector, fuse_markers
 
@@ -72,6 +76,25 @@ def video(tmp_path_factory):
     return write(tmp_path_factory.mktemp("track") / "robots.mp4", images)
 
 
+CAMERA = Camera((640, 480), focal_px=700.0)
+"""The calibrated camera."""
+
+POSE = CameraPose((-0.6, 0.1), 1.4, 0.3, (0.1, np.radians(-25.0)))
+"""Its place, aslant."""
+
+
+@pytest.fixture(scope="module")
+def calibration(tmp_path_factory):
+    path = tmp_path_factory.mktemp("calibration") / "camera.yaml"
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 640)
+    storage.write("image_height", 480)
+    storage.write("camera_matrix", CAMERA.intrinsic_matrix())
+    storage.write("distortion_coefficients", np.zeros((5, 1)))
+    storage.release()
+    return path
+
+
 def rows_of(path):
     with path.open(newline="") as stream:
         return list(csv.DictReader(stream))
@@ -105,6 +128,41 @@ def test_tracks_with_a_side_are_in_metres(video, tmp_path) -> None:
         for axis in "xy":
             assert float(other[f"{axis}_m"]) == pytest.approx(0.12 * float(row[f"{axis}_sides"]), abs=1e-5)
             assert 0 < float(other[f"std_{axis}_m"]) < 1e-3
+
+
+def test_poses_with_a_calibration_are_within_their_deviations(calibration, tmp_path, capsys) -> None:
+    """The largest of 54 errors exceeds 4.5 standard deviations with a chance of 0.04 %."""
+    renderer = Renderer("4X4_50", 0.1, Ground(4), Sensor(2.0, np.random.default_rng(4)))
+    positions_m = np.array([[0.0, 0.0], [0.3, 0.1], [-0.2, 0.15], [0.1, -0.25]])
+    headings_rad = np.array([0.3, -1.0, 2.0, 3.0])
+    ids = np.array([0, 1, 2, 9])
+    moves = [(positions_m + 0.03 * k, headings_rad + 0.2 * k) for k in range(3)]
+    images = [renderer.render(Shot(CAMERA, POSE, ids, *move)) for move in moves]
+    bag = write_bag(tmp_path / "bag", [("/camera", raw(i, "mono8", 0.1 * k)) for k, i in enumerate(images)])
+    given = ("--marker-side-m", "0.1", "--camera", calibration, "--ids", "0-2", "--out", tmp_path / "out")
+    assert run(bag, *given) == 0
+    assert "poses.csv" in capsys.readouterr().out
+    rows = rows_of(tmp_path / "out" / "poses.csv")
+    assert [(row["frame"], row["id"]) for row in rows] == [
+        (str(k), str(i)) for k in range(3) for i in range(3)
+    ]
+    turn = rotation_camera_world(POSE)
+    for row in rows:
+        at_m, at_rad = (part[int(row["id"])] for part in moves[int(row["frame"])])
+        true_m = turn @ (np.array([*at_m, 0.0]) - np.array([*POSE.position_m, POSE.height_m]))
+        true = turn @ Rotation.from_euler("z", at_rad).as_matrix()
+        read = {
+            name: np.array([float(row[f"{name}_{axis}_{unit}"]) for axis in "xyz"])
+            for name, unit in (("camera", "m"), ("turn", "rad"), ("std_camera", "m"), ("std_turn", "rad"))
+        }
+        found = Rotation.from_rotvec(read["turn"]).as_matrix()
+        off = pose_difference(found, read["camera"], true, true_m)
+        stds = np.concatenate([read["std_camera"], read["std_turn"]])
+        assert np.abs(off / stds).max() < 4.5 and stds[:3].max() < 2e-3 and row["pose"] == "plane"
+    assert [row["id"] for row in rows_of(tmp_path / "out" / "tracks.csv")] == [*"012"] * 3
+    # An earlier table does not survive a tracking without a calibration.
+    assert run(bag, "--out", tmp_path / "out", "--force") == 0
+    assert not (tmp_path / "out" / "poses.csv").exists()
 
 
 def test_shape_error_matches_the_drawn_robots(video, tmp_path) -> None:
@@ -230,10 +288,15 @@ def test_unseen_robots_are_reported_in_one_line(video, tmp_path, capsys, shape, 
         (["{here}/none.mp4"], "no such file"),
         (["{here}/picture.png"], "not a video by its name"),
         (["{video}", "--shape", "word:SKYHERD"], "to write SKYHERD"),
+        (["{video}", "--camera", "{camera}"], "both: the side is the scale"),
+        (["{video}", "--camera", "{here}/none.yaml", "--marker-side-m", "0.1"], "none.yaml"),
+        (["{video}", "--camera", "{camera}", "--marker-side-m", "0.1"], "640 x 480"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, video, tmp_path, capsys) -> None:
-    given = [text.format(video=video, here=tmp_path) for text in arguments]
+def test_bad_input_is_one_line_and_leaves_nothing(
+    arguments, words, video, calibration, tmp_path, capsys
+) -> None:
+    given = [text.format(video=video, camera=calibration, here=tmp_path) for text in arguments]
     assert run(*given, "--out", tmp_path / "out") == 2
     said = capsys.readouterr().err
     assert words in said and said.startswith("error: ") and said.count("\n") == 1

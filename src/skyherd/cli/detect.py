@@ -9,12 +9,20 @@ import typer
 from skyherd.cli.choices import TABLE_FORMATS, complete_dictionary, complete_format
 from skyherd.cli.console import ProgressReporter, complain, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
-from skyherd.cli.options import BorderBits, Detector, ForceFolder, Inverted, MarkerSide, Topic
+from skyherd.cli.options import (
+    BorderBits,
+    Detector,
+    ForceFolder,
+    Inverted,
+    MarkerSide,
+    PoseCamera,
+    Topic,
+    metric_options,
+)
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
     from skyherd.inspection import FileResult
-    from skyherd.poses import Calibration
 
 SHOWN_IDS = 16
 """Ids listed of one file before an ellipsis. Chosen: they fit on a line of 80 characters."""
@@ -59,13 +67,7 @@ def detect(
         ),
     ] = "csv",
     marker_side_m: MarkerSide = None,
-    camera: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FILE[#NAME]",
-            help="Calibration of the camera (OpenCV, ROS, Kalibr, caliscope); gives poses in its axes.",
-        ),
-    ] = None,
+    camera: PoseCamera = None,
     one_plane: Annotated[
         bool, typer.Option("--one-plane", help="All markers lie on one plane; makes poses more accurate.")
     ] = False,
@@ -93,13 +95,9 @@ def detect(
 
     if kind not in TABLE_FORMATS:
         raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(TABLE_FORMATS)}")
-    if camera is not None and marker_side_m is None:
-        raise InputError(
-            "--camera", "given without --marker-side-m", "both: the side is the scale of the poses"
-        )
     if one_plane and camera is None:
         raise InputError("--one-plane", "given without --camera", "a calibration")
-    side_m, calibration = _metric_options(marker_side_m, camera)
+    side_m, calibration = metric_options(marker_side_m, camera)
     if target.suffix in (".toml", ".mcap") and not is_bag(target):
         from skyherd.datasets import refuse_configuration
 
@@ -131,18 +129,6 @@ def detect(
     if any(result.trouble for result in results):
         return 2
     return 1 if require and not all(result.ids for result in results) else 0
-
-
-def _metric_options(
-    marker_side_m: float | None, camera: str | None
-) -> tuple[float | None, "Calibration | None"]:
-    """Return the side, m, and the calibration; import `skyherd.poses` only if metres are asked for."""
-    if marker_side_m is None:
-        return None, None
-    from skyherd.poses import check_side, read_calibration
-
-    side_m = check_side("--marker-side-m", marker_side_m)
-    return side_m, None if camera is None else read_calibration(camera)
 
 
 def _say_results(results: list["FileResult"]) -> None:

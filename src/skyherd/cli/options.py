@@ -1,10 +1,14 @@
 """Options that several verbs have, with one name, one meaning and one help text each."""
 
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from skyherd.cli.choices import DETECTORS, complete_detector, complete_dictionary
+from skyherd.errors import InputError
+
+if TYPE_CHECKING:
+    from skyherd.poses import Calibration
 
 Dictionary = Annotated[
     str,
@@ -41,6 +45,16 @@ MarkerSide = Annotated[
         metavar="M",
         show_default=False,
         help="Side of the markers' black square; gives positions on the ground in metres.",
+    ),
+]
+
+PoseCamera = Annotated[
+    str | None,
+    typer.Option(
+        "--camera",
+        metavar="FILE[#NAME]",
+        show_default=False,
+        help="Calibration of the camera (OpenCV, ROS, Kalibr, caliscope); gives poses in its axes.",
     ),
 ]
 
@@ -86,3 +100,23 @@ PageHost = Annotated[
     str,
     typer.Option(metavar="ADDRESS", help="Address of the page; 127.0.0.1 is for this computer only."),
 ]
+
+
+def metric_options(
+    marker_side_m: float | None, camera: str | None
+) -> tuple[float | None, "Calibration | None"]:
+    """Return the side, m, and the calibration; import `skyherd.poses` only if metres are asked for.
+
+    Raises:
+        InputError: the side is invalid or missing, or the calibration cannot be read.
+    """
+    if marker_side_m is None and camera is None:
+        return None, None
+    if marker_side_m is None:
+        raise InputError(
+            "--camera", "given without --marker-side-m", "both: the side is the scale of the poses"
+        )
+    from skyherd.poses import check_side, read_calibration
+
+    side_m = check_side("--marker-side-m", marker_side_m)
+    return side_m, None if camera is None else read_calibration(camera)

@@ -9,7 +9,17 @@ import typer
 from skyherd.cli.choices import complete_scenario
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
-from skyherd.cli.options import BorderBits, Detector, Dictionary, ForceFolder, Inverted, MarkerSide, Topic
+from skyherd.cli.options import (
+    BorderBits,
+    Detector,
+    Dictionary,
+    ForceFolder,
+    Inverted,
+    MarkerSide,
+    PoseCamera,
+    Topic,
+    metric_options,
+)
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,6 +50,7 @@ def track(
         typer.Option(metavar="IDS", help="Follow only these markers, such as 0-15,20."),
     ] = None,
     marker_side_m: MarkerSide = None,
+    camera: PoseCamera = None,
     topic: Topic = None,
     dictionary: Dictionary = "4X4_50",
     detector: Detector = "photometric",
@@ -55,8 +66,8 @@ def track(
 ) -> int:
     """Follow robots through overhead videos; measure their shape.
 
-    It writes rectified tracks on the ground, in marker sides or metres, and the shape error over time, as
-    tables and a figure.
+    It writes rectified tracks on the ground, in marker sides or metres, the shape error over time, and with a
+    calibration the poses of the markers, as tables and a figure.
 
     Exit code 0 when done, 1 if no robot's marker was found, 2 for bad input.
     """
@@ -64,12 +75,11 @@ def track(
     from skyherd.files.rosbag_reader import is_bag
     from skyherd.inspection import output_name
     from skyherd.markers.sheet_layout import parse_ids
-    from skyherd.poses import check_side
-    from skyherd.tracking import FIGURE, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
+    from skyherd.tracking import FIGURE, POSES, SHAPE, TRACKS, named_shape, scenario_shape, track_videos
 
     if shape is not None and scenario is not None:
         raise InputError("--shape", "given with --scenario", "one of the two")
-    side_m = None if marker_side_m is None else check_side("--marker-side-m", marker_side_m)
+    side_m, calibration = metric_options(marker_side_m, camera)
     for video in videos:
         if not is_bag(video):
             refuse_configuration(video, "video")
@@ -85,6 +95,7 @@ def track(
             shape=source,
             members=None if ids is None else parse_ids(ids, dictionary),
             side_m=side_m,
+            calibration=calibration,
             layout=layout,
             topic=topic,
             detector=detector,
@@ -108,8 +119,8 @@ def track(
     )
     for tracks in recordings:
         _warn_if_empty(tracks, ids)
-    tables = f"{folder / TRACKS}" + (f", {folder / SHAPE}" if source else "")
-    say(f"see {folder / FIGURE}, {tables}")
+    tables = [TRACKS, *([SHAPE] if source else []), *([POSES] if calibration else [])]
+    say(f"see {', '.join(str(folder / name) for name in (FIGURE, *tables))}")
     return 0 if any(tracks.ids.size for tracks in recordings) else 1
 
 

@@ -129,25 +129,32 @@ class Table:
         """Write one row; CSV omits unknown keys, JSON lines keep them."""
         if self._kind == "csv":
             corners = dict(zip(CORNER_COLUMNS, np.ravel(row["corners_px"]), strict=True))
-            self._writer.writerow({key: _cell(value) for key, value in (row | corners).items()})
+            self._writer.writerow(
+                {key: _cell(value, _decimals(key)) for key, value in (row | corners).items()}
+            )
         else:
-            plain = {key: _short(value) for key, value in row.items()}
+            plain = {key: _short(value, _decimals(key)) for key, value in row.items()}
             self._stream.write(json.dumps(plain, ensure_ascii=False) + "\n")
 
 
-def _cell(value: Any) -> Any:
+def _decimals(column: str) -> int:
+    """Return the decimals of a column, far below the errors of px and degrees, or of m and rad."""
+    return 7 if column.endswith(("_m", "_rad", "_pose")) else 4
+
+
+def _cell(value: Any, decimals: int) -> Any:
     """Return a CSV value; texts, such as arbitrary file names, are made harmless to spreadsheets."""
-    return table_cell(value) if isinstance(value, str) else _short(value)
+    return table_cell(value) if isinstance(value, str) else _short(value, decimals)
 
 
-def _short(value: Any) -> Any:
-    """Round numbers to 1e-4 or, if small, to five digits; return arrays as lists, texts printable."""
+def _short(value: Any, decimals: int) -> Any:
+    """Round numbers to decimals or, if small, to five digits; return arrays as lists, texts printable."""
     if isinstance(value, np.ndarray):
-        return [_short(item) for item in value]
+        return [_short(item, decimals) for item in value]
     if isinstance(value, str):
         return printable(value)
     if isinstance(value, float):
-        return round(float(value), 4) if abs(value) >= 0.1 else float(f"{value:.5g}")
+        return round(float(value), decimals) if abs(value) >= 0.1 else float(f"{value:.5g}")
     return value
 
 

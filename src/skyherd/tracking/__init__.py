@@ -5,10 +5,11 @@ Start with `track_videos`.
 
 from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors, shape_errors
 from skyherd.tracking.shapes import ShapeSource, named_shape, scenario_shape
-from skyherd.tracking.tracker import FIGURE, SHAPE, TRACKS, track_videos
+from skyherd.tracking.tracker import FIGURE, POSES, SHAPE, TRACKS, track_videos
 
 __all__ = [
     "FIGURE",
+    "POSES",
     "SHAPE",
     "TRACKS",
     "GroundTracks",

@@ -1,4 +1,4 @@
-"""Tracking of videos: a table of tracks, a table of shape errors, and a figure."""
+"""Tracking of videos: tables of tracks, poses and shape errors, and a figure."""
 
 import csv
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -14,10 +14,13 @@ from skyherd.files.image_streams import is_stream, open_stream, read_stream
 from skyherd.files.output_folder import OutputFolder
 from skyherd.files.video_reader import Clip
 from skyherd.geometry import Image
+from skyherd.inspection import Place, detection_rows, open_table
+from skyherd.inspection.metres import POSE_COLUMNS, MetricColumns
+from skyherd.inspection.table import WHERE
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.markers.layout import MarkerLayout
 from skyherd.messages import Detections
-from skyherd.poses import check_side
+from skyherd.poses import Calibration, check_side
 from skyherd.text import table_cell
 from skyherd.tracking.figure import draw_tracks
 from skyherd.tracking.ground_tracks import GroundTracks, ShapeErrors, Sighting, shape_errors
@@ -32,6 +35,9 @@ TRACKS = "tracks.csv"
 
 SHAPE = "shape.csv"
 """Name of the table of shape errors."""
+
+POSES = "poses.csv"
+"""Name of the table of poses in the camera's axes."""
 
 FIGURE = "tracks.png"
 """Name of the figure."""
@@ -52,6 +58,9 @@ METRE_STDS = ("std_x_m", "std_y_m")
 SHAPE_COLUMNS = ("file", "frame", "time_s", "robots", "shape_error")
 """Columns of the shape errors: robots of the shape in the image, and error, empty for fewer than three."""
 
+AddPoses = Callable[[Place, Image, Detections], None]
+"""Function that writes the poses of the markers in an image."""
+
 
 def track_videos(
     videos: Sequence[Path],
@@ -60,6 +69,7 @@ def track_videos(
     shape: ShapeSource | None = None,
     members: Collection[int] | None = None,
     side_m: float | None = None,
+    calibration: Calibration | None = None,
     layout: MarkerLayout | None = None,
     topic: str | None = None,
     detector: str = "photometric",
@@ -77,6 +87,8 @@ def track_videos(
         shape: the shape for comparison, for the markers of all videos together; None for none.
         members: the robots, if other markers are in view as well; None for all markers.
         side_m: side of the markers, m, for positions in metres; None for positions in marker sides.
+        calibration: of the camera of all videos, for poses in its axes; needs `side_m`. All markers count as
+            lying on one plane, unless the layout has heights. None for no poses.
         layout: markers on the robots; None for one on each.
         topic: topic of the images in rosbag2 recordings; None for the only one of each.
         detector: name or `module:factory`; each video gets a new detector.
@@ -90,11 +102,14 @@ def track_videos(
         The tracks of each video.
 
     Raises:
-        InputError: a video cannot be read, the folder exists, or the shape does not fit these robots.
+        InputError: a video cannot be read or has not the calibrated size, the folder exists, the shape does
+            not fit these robots, or a calibration is given without a side.
         OutputError: a file cannot be written.
     """
     if side_m is not None:
         check_side("side_m", side_m)
+    elif calibration is not None:
+        raise InputError("calibration", "given without side_m", "both: the side is the scale of the poses")
     for video in videos:
         if not is_stream(video):
             allowed = "an .mp4, .mkv, .avi, .mov or .webm file, or a rosbag2 recording"
@@ -102,15 +117,17 @@ def track_videos(
         open_stream(video, topic)
     settings: dict[str, Any] = dict(dictionary=dictionary, border_bits=border_bits, inverted=inverted)
     create_detector(detector, **settings)
-    names = [TRACKS, FIGURE, *([SHAPE] if shape else [])]
+    names = [TRACKS, FIGURE, *([SHAPE] if shape else []), *([POSES] if calibration else [])]
     with OutputFolder(folder, VERB, names, force=force, inputs=videos):
         fuse = _fuser(layout, settings)
         robots = None if members is None else frozenset(members)
-        recordings = [
-            _follow(tracks, open_stream(video, topic), create_detector(detector, **settings), fuse, progress)
-            for video in videos
-            for tracks in [GroundTracks(video.name, robots, side_m)]
-        ]
+        recordings = []
+        with _pose_table(folder / POSES, side_m, calibration, robots, layout, settings) as add_poses:
+            for video in videos:
+                tracks = GroundTracks(video.name, robots, side_m)
+                eyes = create_detector(detector, **settings)
+                _follow(tracks, open_stream(video, topic), eyes, fuse, add_poses, progress)
+                recordings.append(tracks)
         with _table(folder / TRACKS, _columns(side_m)) as table:
             table.writerows(row for tracks in recordings for row in _track_rows(tracks))
         errors = _errors(recordings, shape)
@@ -144,15 +161,50 @@ def _follow(
     clip: Clip,
     detector: Detector,
     fuse: Callable[[Detections, Image], Detections],
+    add_poses: AddPoses,
     progress: Progress,
-) -> GroundTracks:
-    """Add all images of a recording to tracks, and return the tracks."""
+) -> None:
+    """Add all images of a recording to tracks, and their poses to the table."""
     for frame in read_stream(clip):
         found = detector.detect(frame.image, time_s=frame.time_s)
+        add_poses(Place(clip.path.name, frame.index, frame.time_s), frame.image, found)
         tracks.add(frame.index, fuse(found, frame.image))
         done = frame.index + 1
         progress.update(clip.path.name, done, max(clip.count, done) if clip.count else None)
-    return tracks
+
+
+@contextmanager
+def _pose_table(
+    path: Path,
+    side_m: float | None,
+    calibration: Calibration | None,
+    robots: frozenset[int] | None,
+    layout: MarkerLayout | None,
+    settings: dict[str, Any],
+) -> Iterator[AddPoses]:
+    """Open the table of poses, and yield the function that adds an image to it; see `track_videos`."""
+    if side_m is None or calibration is None:
+        yield lambda place, image, found: None
+        return
+    columns = MetricColumns(
+        side_m,
+        calibration,
+        one_plane=layout is None or layout.is_flat,
+        border_bits=settings["border_bits"],
+        inverted=settings["inverted"],
+    )
+    with open_table(path, [*WHERE, "id", *POSE_COLUMNS], "csv") as table:
+
+        def add(place: Place, image: Image, found: Detections) -> None:
+            found = found.unambiguous()
+            if robots is not None:
+                owners = found.ids if layout is None else layout.robots_of(found.ids)
+                found = found[np.isin(owners, list(robots))]
+            poses = columns.rows(place.file, image, found, settings["dictionary"])
+            for row in detection_rows(place, found, poses):
+                table.add(row)
+
+        yield add
 
 
 def _errors(recordings: Sequence[GroundTracks], shape: ShapeSource | None) -> list[ShapeErrors]:

@@ -22,7 +22,7 @@ from skyherd.live.cockpit import PageAddress
 from skyherd.live.lab import load_lab
 from skyherd.live.mailbox import Air, Mailbox
 from skyherd.live.operator import watch
-from skyherd.live.session import MAX_KEYS, _dashboard, _keys, _windows_key, run_session
+from skyherd.live.session import MAX_KEYS, _dashboard, _keys, _processes, _windows_key, run_session
 from skyherd.live.supervisor import Child, Supervisor
 from skyherd.live.wire import Heartbeat
 from skyherd.report.access import bind
@@ -373,7 +373,11 @@ def test_dashboard_shows_state_of_each_process(tmp_path) -> None:
     restarts = {"unit/0": 0, "robot/0": 1, "robot/1": 3, "robot/2": 0, "robot/3": 0}
     supervisor.children = [Child(name, [], count) for name, count in restarts.items()]
     console = Console(file=io.StringIO(), width=100)
-    console.print(_dashboard(lab, watched, supervisor, ["a line", "another"], "http://127.0.0.1:1/"))
+    console.print(
+        _dashboard(
+            lab, watched, _processes(watched, supervisor), ["a line", "another"], "http://127.0.0.1:1/"
+        )
+    )
     supervisor.end()
     head, *rows = [line.split() for line in console.file.getvalue().splitlines()]
     assert " ".join(head) == "team triangle: 1 of 6 robots armed. a: arm space: STOP Ctrl-C: end"

@@ -74,6 +74,8 @@ def check(
 
     lab = load_lab(lab_file, settings or [])
     check_drivers(lab.model, lab_file, imports=True)
+    for unit in range(len(lab.model.cameras)):
+        lab.calibration(unit)
     radio = lab.model.radio
     if not radio.is_secured:
         warn("radio: reaches beyond this machine without TLS: `live run` asks for --insecure")

@@ -4,7 +4,6 @@ import importlib
 import math
 import os
 import select
-import shutil
 import sys
 import time
 from collections import deque
@@ -80,10 +79,9 @@ def run_session(
         The exit code: 2 if a process refused its input, 1 if a process survives, else 0.
 
     Raises:
-        InputError: a camera or a driver cannot be used, or the folder exists. The page's address cannot be
-            used. An address in `cameras` is
-            empty, or their number differs from the lab's cameras. The duration is not positive. Another
-            process on this machine runs the team.
+        InputError: a camera, its calibration, a driver or the page's address cannot be used, or the folder
+            exists. An address in `cameras` is empty, or their number differs from the lab's cameras. The
+            duration is not positive. Another process on this machine runs the team.
     """
     _check_options(lab, cameras, duration_s)
     _check_addresses(lab, lab_file, cameras, dry_run=dry_run)
@@ -91,7 +89,7 @@ def run_session(
         radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
         try:
             folder = _make_folder(folder, lab)
-            cockpit = None if page is None else _open_cockpit(lab, folder, page)
+            cockpit = _open_cockpit(lab, folder, page)
         except InputError:
             radio.close()
             raise
@@ -104,24 +102,22 @@ def run_session(
             if not shows:
                 say(line)
 
-        if cockpit is not None:
+        if cockpit.url:
             say(f"open {cockpit.url}")
         supervisor = Supervisor(folder / "live.log", tell)
         watched = operator.watch(lab, radio, LiveClock(), SESSION)
         session = Session(lab, watched, supervisor.say, arms=armed)
         options = _process_options(folder, settings, insecure=insecure, dry_run=dry_run)
-        of_units = ["--preview"] if cockpit is not None else []
         end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
         try:
-            _start_all(supervisor, lab, lab_file, cameras, options, of_units)
+            _start_all(supervisor, lab, lab_file, cameras, options, previews=page is not None)
             with _keys() as key, _display(console if shows else None) as draw:
                 while not ended() and time.monotonic() < end_s and not _end_reason(supervisor):
                     supervisor.tend()
-                    stops = cockpit is not None and cockpit.stop_asked()
-                    session.step(key(), REFRESH_S, page_stops=stops)
-                    draw(_dashboard(lab, watched, supervisor, lines, "" if cockpit is None else cockpit.url))
-                    if cockpit is not None:
-                        cockpit.show(_processes(watched, supervisor), watched, lines)
+                    session.step(key(), REFRESH_S, page_stops=cockpit.stop_asked())
+                    processes = _processes(watched, supervisor)
+                    draw(_dashboard(lab, watched, processes, lines, cockpit.url))
+                    cockpit.show(processes, watched, lines)
             if ended():
                 supervisor.say("live", "interrupted; ending all processes")
         finally:
@@ -130,9 +126,7 @@ def run_session(
             for line in closing_lines:
                 supervisor.say("live", line)
             left = supervisor.end()
-            if cockpit is not None:
-                cockpit.close()
-                shutil.rmtree(folder / PREVIEWS, ignore_errors=True)
+            cockpit.close()
             radio.close()
     if shows:  # Without a dashboard, these lines have been printed.
         for line in closing_lines:
@@ -247,6 +241,8 @@ def _check_addresses(lab: Lab, lab_file: str, cameras: Sequence[str], *, dry_run
     """Refuse cameras that this machine lacks, and invalid drivers; see `run_session`."""
     if not dry_run:
         check_drivers(lab.model, lab_file, imports=True)
+    for unit in range(len(lab.model.cameras)):
+        lab.calibration(unit)
     for unit, address in enumerate(cameras or [camera.address for camera in lab.model.cameras]):
         try:
             check_camera(address)
@@ -286,8 +282,8 @@ def _make_folder(folder: Path | None, lab: Lab) -> Path:
     return folder
 
 
-def _open_cockpit(lab: Lab, folder: Path, page: PageAddress) -> Cockpit:
-    """Open the page of a run; without it, the new folder is removed. See `run_session`."""
+def _open_cockpit(lab: Lab, folder: Path, page: PageAddress | None) -> Cockpit:
+    """Open the page of a run, if it has an address. On failure the new folder is removed."""
     try:
         return Cockpit(lab, folder / PREVIEWS, page)
     except InputError:
@@ -301,9 +297,11 @@ def _start_all(
     lab_file: str,
     cameras: Sequence[str],
     options: Sequence[str],
-    of_units: Sequence[str],
+    *,
+    previews: bool,
 ) -> None:
-    """Start a process for each unit and each robot, all with the same options, and units with more."""
+    """Start a process for each unit and each robot with the same options; units write `previews` if asked."""
+    of_units = ["--preview"] * previews
     for unit in range(len(lab.model.cameras)):
         camera = ["--camera", cameras[unit]] if cameras else []
         supervisor.add(f"unit/{unit}", ["unit", lab_file, str(unit), *camera, *options, *of_units])
@@ -325,14 +323,14 @@ def _processes(watched: operator.Watch, supervisor: Supervisor) -> list[ProcessS
 
 
 def _dashboard(
-    lab: Lab, watched: operator.Watch, supervisor: Supervisor, lines: Sequence[str], url: str
+    lab: Lab, watched: operator.Watch, processes: Sequence[ProcessState], lines: Sequence[str], url: str
 ) -> Group:
     """Return the dashboard; `url` is the address of the page, if there is one."""
     armed = sum(heartbeat.armed for heartbeat in watched.alive().values())
     table = Table(box=None, header_style="bold")
     for column in ("process", "starts", "armed", "state"):
         table.add_column(column)
-    for process in _processes(watched, supervisor):
+    for process in processes:
         mark = "" if process.armed is None else "ARMED" if process.armed else "no"
         table.add_row(process.name, str(process.starts), mark, Text(process.state))
     head = (

@@ -12,7 +12,9 @@ from skyherd.errors import InputError
 from skyherd.live.cameras import CameraReader, Frame, MirrorWatch, open_camera
 from skyherd.live.cockpit import PREVIEWS, PreviewWriter
 from skyherd.live.drivers import WORLD, open_driver
-from skyherd.live.logs.frame_log import FrameLog
+from skyherd.live.lab import Lab
+from skyherd.live.logs.frame_log import FrameLog, Sight
+from skyherd.live.logs.marker_poses import PoseMeter
 from skyherd.live.logs.process_log import ProcessLog
 from skyherd.live.logs.view import View, view_of
 from skyherd.live.mailbox import Mailbox
@@ -44,11 +46,15 @@ def run_unit(
         address: address of a camera instead of the lab's.
         dry_run: send no flight commands.
         previews: write pictures for the page of the run into the folder of the recordings.
+
+    Raises:
+        InputError: the camera's calibration or the detector cannot be used.
     """
     lab = context.lab
     camera, core = lab.camera(unit), lab.make_unit(unit)
     mailbox = context.mailbox(core.name, HEARS, lambda: core.latch)
     dictionary = lab.model.markers.dictionary
+    meter = _pose_meter(lab, unit)
     detector = create_detector(camera.detector, dictionary=dictionary, deferring=True)
     with ExitStack() as stack:
         process_log = stack.enter_context(context.process_log(core.name))
@@ -58,8 +64,9 @@ def run_unit(
             return
         stack.enter_context(reader)
         pictures = lab.model.recording
+        side_m = lab.model.markers.side_m
         frame_log = stack.enter_context(
-            FrameLog(unit, pictures.image_rate_hz, pictures.image_width_px, lab.model.markers.side_m)
+            FrameLog(unit, pictures.image_rate_hz, pictures.image_width_px, side_m, meter)
         )
         preview = stack.enter_context(PreviewWriter(context.folder / PREVIEWS if previews else None, unit))
         fly = _autopilot(context, mailbox, stack, unit, dry_run=dry_run)
@@ -129,12 +136,13 @@ class UnitAtWork:
         """
         clock = self.context.clock
         begun_s = clock()
-        detections = self.detector.detect(frame.image, time_s=frame.captured_s, unit_id=self.core.unit_id)
-        trouble = trouble or self._mirrored.look(frame, detections)
-        detections = self.context.lab.robots_of(detections, frame.image)
+        markers = self.detector.detect(frame.image, time_s=frame.captured_s, unit_id=self.core.unit_id)
+        trouble = trouble or self._mirrored.look(frame, markers)
+        detections = self.context.lab.robots_of(markers, frame.image)
         found_s = clock()
         news, view = (None, None) if trouble else self._decide(frame, detections, begun_s, found_s)
-        self.frame_log.show(frame.image, detections, None if news is None else news.decision, view)
+        decision = None if news is None else news.decision
+        self.frame_log.show(Sight(frame.image, markers, detections, decision, view))
         self.preview.show(frame.image, detections, view, trouble)
         self._state = _described(detections, view)
         return trouble
@@ -172,7 +180,12 @@ class UnitAtWork:
     def report(self, trouble: str | None) -> None:
         """Report faults, record finished preview images, and send a heartbeat when it is due."""
         now_s = self.context.clock()
-        troubles = (trouble or self.core.trouble, self.core.withheld(now_s), self.process_log.trouble)
+        troubles = (
+            trouble or self.core.trouble,
+            self.core.withheld(now_s),
+            self.frame_log.trouble,
+            self.process_log.trouble,
+        )
         problem = "; ".join(filter(None, troubles))
         self.status.say(f"{self.core.name}: {problem}" if problem else "")
         for topic, record in self.frame_log.done():
@@ -203,6 +216,15 @@ def _described(detections: Detections, view: View | None) -> str:
     error = np.nan if view is None else view.shape_error
     known = f", shape error {100 * error:.2g} %" if np.isfinite(error) else ""
     return f"{len(detections)} markers{known}"
+
+
+def _pose_meter(lab: Lab, unit: int) -> PoseMeter | None:
+    """Return the measurement of poses of a unit's markers; None for a camera without calibration."""
+    calibration, markers = lab.calibration(unit), lab.model.markers
+    if calibration is None:
+        return None
+    flat = lab.layout is None or lab.layout.is_flat
+    return PoseMeter(calibration, markers.side_m, markers.dictionary, one_plane=flat)
 
 
 def _open(context: ProcessContext, status: StatusLine, address: str) -> CameraReader | None:

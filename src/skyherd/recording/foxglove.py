@@ -289,15 +289,24 @@ def frame_transforms(
     """Return poses by name, x, y and z in m and angle about z in rad, in the schema `TRANSFORMS`."""
     return {
         "transforms": [
-            {
-                "timestamp": time_of(time_s),
-                "parent_frame_id": parent,
-                "child_frame_id": name,
-                "translation": {"x": x, "y": y, "z": z},
-                "rotation": {"x": 0.0, "y": 0.0, "z": math.sin(angle_rad / 2), "w": math.cos(angle_rad / 2)},
-            }
-            for name, (x, y, z, angle_rad) in places.items()
+            frame_transform(
+                time_s, parent, name, place_m, (0.0, 0.0, math.sin(angle_rad / 2), math.cos(angle_rad / 2))
+            )
+            for name, (*place_m, angle_rad) in places.items()
         ]
+    }
+
+
+def frame_transform(
+    time_s: float, parent: str, child: str, position_m: Sequence[float], quaternion: Sequence[float]
+) -> dict[str, Any]:
+    """Return the pose of a child frame in its parent: position (3,) and quaternion (x, y, z, w)."""
+    return {
+        "timestamp": time_of(time_s),
+        "parent_frame_id": parent,
+        "child_frame_id": child,
+        "translation": dict(zip("xyz", position_m, strict=True)),
+        "rotation": dict(zip("xyzw", quaternion, strict=True)),
     }
 
 

@@ -3,6 +3,7 @@
 import http.client
 import json
 import os
+import time
 from contextlib import closing
 from types import SimpleNamespace
 
@@ -104,6 +105,13 @@ class TestServer:
             connection.close()
 
 
+def wait_until(condition) -> None:
+    """Wait until a condition is true."""
+    ends_s = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < ends_s
+
+
 class TestPreviews:
     def test_picture_shows_markers_and_ways_at_their_places(self, tmp_path, make_detections) -> None:
         """An image of twice the width of the picture: all places are halved."""
@@ -124,10 +132,9 @@ class TestPreviews:
     def test_picture_is_written_at_most_twice_a_second(self, tmp_path, make_detections) -> None:
         found = make_detections([3], np.array([40 + 30j]), size=(80, 60))
         with PreviewWriter(tmp_path, 0) as writer:
-            for _ in range(5):
-                writer.show(np.zeros((60, 80), np.uint8), found, None, "frozen")
-                made = writer._made
-            assert writer._made is made
+            for trouble in ("frozen", "too soon"):
+                writer.show(np.zeros((60, 80), np.uint8), found, None, trouble)
+                wait_until(lambda: read_preview(tmp_path, 0))
         assert read_preview(tmp_path, 0)[0].trouble == "frozen"
 
     def test_full_disk_does_not_end_the_unit(self, tmp_path, make_detections) -> None:
@@ -135,13 +142,18 @@ class TestPreviews:
         with PreviewWriter(tmp_path / "gone", 0) as writer:
             (tmp_path / "gone").rmdir()
             writer.show(np.zeros((60, 80), np.uint8), found, None, None)
-            assert writer._made.exception(10) is None
+            wait_until(lambda: writer._maker.take() or writer._maker.is_free)
         assert read_preview(tmp_path / "gone", 0) is None
+
+    @pytest.mark.parametrize("text", ["", "{", "[]", '{"unit": 1}', '{"unit": 0, "seen": 3}', "\xff"])
+    def test_damaged_record_counts_as_no_picture(self, tmp_path, text) -> None:
+        (tmp_path / "unit_0.json").write_bytes(text.encode("latin-1"))
+        assert read_preview(tmp_path, 0) is None
 
     def test_without_a_folder_nothing_is_made(self, tmp_path, make_detections) -> None:
         with PreviewWriter(None, 0) as writer:
             writer.show(np.zeros((60, 80), np.uint8), make_detections([], []), None, None)
-            assert writer._made is None
+            assert writer._maker.is_free
 
 
 class TestCockpit:

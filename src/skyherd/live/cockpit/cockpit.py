@@ -1,5 +1,6 @@
 """State of a running lab for the page, and the page's request to stop."""
 
+import shutil
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from skyherd.live.lab.camera_survey import GOOD_MARKER_PX, Finding, Level, team_
 from skyherd.live.operator import Watch
 
 SEEN_S = 2.0
-"""Time for which a robot counts as seen. Chosen: four pictures."""
+"""Time for which a robot counts as seen, s. Chosen: four pictures."""
 
 STALE_S = 3.0
 """Age of a picture from which on it is marked as old, s. Chosen: six pictures."""
@@ -40,27 +41,29 @@ class Cockpit:
     """Page of a running lab. All methods are called by the thread of the session.
 
     Attributes:
-        url: address to open, with its token.
+        url: address to open, with its token; empty without a page.
 
     Args:
         lab: the set-up.
-        folder: folder of the units' pictures.
-        address: where the page is served.
+        folder: folder of the units' pictures; removed at the end.
+        address: where the page is served. None: there is no page, and nothing asks to stop.
 
     Raises:
         InputError: the address is not one of this computer, or its port is in use.
     """
 
-    def __init__(self, lab: Lab, folder: Path, address: PageAddress) -> None:
+    def __init__(self, lab: Lab, folder: Path, address: PageAddress | None) -> None:
         self._lab, self._folder = lab, folder
         self._units = len(lab.model.cameras)
-        self._server = Server(address, folder, self._units, f"team {lab.model.team}")
-        self.url = self._server.access.url
+        self._server = None
+        if address is not None:
+            self._server = Server(address, folder, self._units, f"team {lab.model.team}")
+        self.url = "" if self._server is None else self._server.access.url
         self._seen_s: list[dict[int, float]] = [{} for _ in range(self._units)]
 
     def stop_asked(self) -> bool:
         """Return whether the page asked to stop since the last call."""
-        return self._server.stop_asked()
+        return self._server is not None and self._server.stop_asked()
 
     def show(self, processes: Sequence[ProcessState], watched: Watch, lines: Sequence[str]) -> None:
         """Show the state of the team.
@@ -70,6 +73,8 @@ class Cockpit:
             watched: the operator's view of the team.
             lines: the newest lines of the log.
         """
+        if self._server is None:
+            return
         previews = [read_preview(self._folder, unit) for unit in range(self._units)]
         now_s = time.monotonic()
         for last_s, preview in zip(self._seen_s, previews, strict=True):
@@ -106,8 +111,10 @@ class Cockpit:
         )
 
     def close(self) -> None:
-        """Close the page."""
-        self._server.close()
+        """Close the page, and remove the pictures."""
+        if self._server is not None:
+            self._server.close()
+            shutil.rmtree(self._folder, ignore_errors=True)
 
     def _findings(self, seen: Sequence[set[int]], owners: Sequence[set[int]]) -> Iterator[Finding]:
         """Yield the results for all units together; robots without a unit count once some are controlled."""

@@ -6,21 +6,22 @@ skipped.
 
 import json
 import time
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from pydantic import TypeAdapter
 
 from skyherd.drawing.canvas import draw_segments
 from skyherd.drawing.palette import unit_rgb
 from skyherd.errors import OutputError
 from skyherd.files.atomic import write_text, write_whole
 from skyherd.inspection import Annotator
+from skyherd.jobs.background import BackgroundWorker
 from skyherd.live.logs.view import View
 from skyherd.messages import Detections, rows_of
 
@@ -67,8 +68,7 @@ class PreviewWriter:
     def __init__(self, folder: Path | None, unit: int) -> None:
         self._folder, self._unit = folder, unit
         self._due_s = -np.inf
-        self._maker = ThreadPoolExecutor(max_workers=1, thread_name_prefix="preview")
-        self._made: Future[None] | None = None
+        self._maker: BackgroundWorker[None] = BackgroundWorker("preview")
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
 
@@ -76,20 +76,20 @@ class PreviewWriter:
         self, image: npt.NDArray[np.uint8], found: Detections, view: View | None, trouble: str | None
     ) -> None:
         """Start the picture of an image (height, width), unless the last is too recent or not finished."""
-        if self._folder is None or time.monotonic() < self._due_s:
-            return
-        if self._made is not None and not self._made.done():
+        self._maker.take()
+        if self._folder is None or not self._maker.is_free or time.monotonic() < self._due_s:
             return
         self._due_s = time.monotonic() + PERIOD_S
-        self._made = self._maker.submit(_write, self._folder, self._unit, image, found, view, trouble or "")
+        self._maker.start(_write, self._folder, self._unit, image, found, view, trouble or "")
 
     def __enter__(self) -> Self:
+        self._maker.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._maker.shutdown(cancel_futures=True)
+        self._maker.__exit__(kind, error, trace)
 
 
 def _write(
@@ -156,11 +156,10 @@ def _record_path(folder: Path, unit: int) -> Path:
 
 
 def read_preview(folder: Path, unit: int) -> tuple[Preview, float] | None:
-    """Return what a unit saw last, and its age, s; None before its first picture."""
+    """Return what a unit saw last, and its age, s; None without a readable record."""
     path = _record_path(folder, unit)
     try:
         age_s = max(0.0, time.time() - path.stat().st_mtime)
-        record: dict[str, Any] = json.loads(path.read_text("utf-8"))
-    except OSError:
+        return TypeAdapter(Preview).validate_json(path.read_bytes()), age_s
+    except (OSError, ValueError):
         return None
-    return Preview(**record), age_s

@@ -19,6 +19,7 @@ from skyherd.live.cameras import Frame, open_camera
 from skyherd.live.lab.set_up import Lab
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.messages import Detections, among
+from skyherd.poses import Calibration
 from skyherd.vision import MAX_BLUR_CELLS, MIN_MARKER_CONTRAST, create_detector, measure_marker_images
 
 GOOD_MARKER_PX = 20.0
@@ -83,7 +84,7 @@ COLUMNS = ("id", "u_px", "v_px", "side_px", "black", "white", "blur_cells", "mov
 
 @dataclass
 class CameraSurvey:
-    """What one camera showed of the robots in some images.
+    """Robots in some images of one camera.
 
     Attributes:
         lab: the lab.
@@ -93,6 +94,7 @@ class CameraSurvey:
         stamped_by: source of the times.
         seen: number of images of each robot that was seen.
         trouble: fault of the last image by its reader, or None.
+        calibration: intrinsics that the lab names for it, or None.
     """
 
     lab: Lab
@@ -102,6 +104,7 @@ class CameraSurvey:
     stamped_by: str = ""
     seen: Counter[int] = field(default_factory=Counter)
     trouble: str | None = None
+    calibration: Calibration | None = None
     _rows: list[Array] = field(default_factory=list)
     _last: Detections | None = None
     _rectifier: Rectifier = field(default_factory=Rectifier)
@@ -158,6 +161,7 @@ class CameraSurvey:
         """Yield the results for this camera."""
         if self.trouble is not None:
             yield Finding(Level.ADVICE, self.trouble)
+        yield from self._calibrated_size()
         yield from self._coverage()
         if not self.column("id").size:
             return
@@ -172,6 +176,13 @@ class CameraSurvey:
     def is_fine(self) -> bool:
         """True if no finding is a problem."""
         return all(finding.level is not Level.PROBLEM for finding in self.findings())
+
+    def _calibrated_size(self) -> Iterator[Finding]:
+        if self.calibration is not None:
+            try:
+                self.calibration.check_image("calibration", self.size_px)
+            except InputError as error:
+                yield Finding(Level.PROBLEM, str(error))
 
     def _coverage(self) -> Iterator[Finding]:
         if not self.seen:
@@ -275,9 +286,10 @@ def watch_camera(lab: Lab, unit: int, seconds: float) -> CameraSurvey:
     """Return what the camera of a unit shows for some seconds.
 
     Raises:
-        InputError: it cannot be opened, or shows no image within `FIRST_IMAGE_S`.
+        InputError: it cannot be opened, or shows no image within `FIRST_IMAGE_S`. Its calibration cannot be
+            read.
     """
-    survey, camera = CameraSurvey(lab), lab.camera(unit)
+    survey, camera = CameraSurvey(lab, calibration=lab.calibration(unit)), lab.camera(unit)
     detector = create_detector(camera.detector, dictionary=lab.model.markers.dictionary)
     with open_camera(camera.address) as reader:
         frame, ends_s = reader.newest(FIRST_IMAGE_S), time.monotonic() + seconds

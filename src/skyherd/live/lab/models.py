@@ -75,6 +75,11 @@ class LabCamera(Model):
     detector: str = Field("tracking", description="one of `skyherd detect --help`")
     flight: FlightModel | None = Field(None, description="law of flight; left out for a fixed camera")
     driver: Text | None = Field(None, description="address of its flight commands; none if left out")
+    calibration: Text | None = Field(
+        None,
+        description="file of its intrinsics, FILE or FILE#NAME, for poses of the markers in the recording; "
+        "control does not use it",
+    )
 
 
 class LabRobot(Model):

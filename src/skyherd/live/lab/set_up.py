@@ -36,6 +36,7 @@ from skyherd.live.robot_core import RobotCore, RobotLimits
 from skyherd.live.unit_core import UnitCore
 from skyherd.markers.layout import MarkerLayout
 from skyherd.messages import Detections
+from skyherd.poses import Calibration, read_calibration
 from skyherd.sim.robot_teams import Timing, make_avoidance_rule
 from skyherd.vision import fuse_markers
 
@@ -94,6 +95,22 @@ class Lab:
         if not 0 <= unit < len(self.model.cameras):
             raise InputError("unit", f"no unit {unit} in this lab", f"0 to {len(self.model.cameras) - 1}")
         return self.model.cameras[unit]
+
+    def calibration(self, unit: int) -> Calibration | None:
+        """Read the intrinsics of a unit's camera, for recordings alone; None if the lab names none.
+
+        Raises:
+            InputError: the file cannot be read, or no unit has this number.
+        """
+        file = self.camera(unit).calibration
+        if file is None:
+            return None
+        try:
+            return read_calibration(str(self.folder / file))
+        except InputError as error:
+            raise InputError(
+                f"cameras.{unit}.calibration: {error.where}", error.what, error.allowed
+            ) from None
 
     def check_process(self, name: str) -> None:
         """Check the name of a process, such as `robot/3`.

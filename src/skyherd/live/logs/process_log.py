@@ -11,7 +11,7 @@ The file has all inputs in their order, so that `skyherd.live.logs.replay` repro
     /view        unit: goals and shape error of an image
     /stages      unit: times of capture, arrival, detection and decision of an image
     /tell        a status line for people
-    /image, /overlay, /poses
+    /image, /overlay, /poses, /marker_poses
                  unit: previews at a low rate, see `skyherd.live.logs.frame_log`
     /end         orderly end of the process
 

@@ -66,8 +66,8 @@ def track(
 ) -> int:
     """Follow robots through overhead videos; measure their shape.
 
-    It writes rectified tracks on the ground, in marker sides or metres, the shape error over time, and with a
-    calibration the poses of the markers, as tables and a figure.
+    It writes rectified tracks on the ground, in marker sides or metres, and the shape error over time, as
+    tables and a figure. With a calibration it also writes the poses of the markers.
 
     Exit code 0 when done, 1 if no robot's marker was found, 2 for bad input.
     """

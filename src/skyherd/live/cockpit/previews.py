@@ -40,14 +40,14 @@ JPEG_QUALITY = 70
 
 @dataclass(frozen=True)
 class Preview:
-    """What a unit saw in one image.
+    """Robots that a unit saw and controls in one image.
 
     Attributes:
         unit: number of the unit.
         seen: robots in the image.
         sides_px: shortest and longest side of their markers, px of the camera's image; empty without any.
         controlled: robots that the unit controls.
-        trouble: fault of the image; empty if there is none.
+        trouble: fault of the image, or an empty string.
     """
 
     unit: int

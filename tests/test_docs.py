@@ -198,14 +198,17 @@ class TestReadme:
         assert f"version = {{{skyherd.__version__}}}" in self.TEXT
 
 
-def test_gallery_is_small_and_the_home_page_shows_every_film() -> None:
+def test_gallery_is_small_and_the_home_page_shows_all_of_it() -> None:
     home, folder = (DOCS / "index.md").read_text(), DOCS / "gallery"
     films = re.findall(r'^    "(\w+)": Film\(', (DOCS / "scripts/gallery.py").read_text(), re.M)
     assert len(films) >= 4
-    assert {path.name for path in folder.iterdir()} == {
-        f"{film}.{kind}" for film in films for kind in ("mp4", "jpg")
-    }
+    kinds = (".mp4", "-phone.mp4", ".jpg", ".viser")
+    assert {path.name for path in folder.iterdir()} == {f"{film}{kind}" for film in films for kind in kinds}
     for film in films:
-        assert f'src="gallery/{film}.mp4" poster="gallery/{film}.jpg"' in home
+        assert f'<source src="gallery/{film}-phone.mp4" media="(max-width: 600px)">' in home
+        assert f'<source src="gallery/{film}.mp4">' in home and f'poster="gallery/{film}.jpg"' in home
         assert f"`skyherd run {film}`" in home
-    assert sum(path.stat().st_size for path in folder.iterdir()) < 6e6
+        assert f"(gallery/replay.html?playbackPath={film}.viser)" in home
+        assert (folder / f"{film}.viser").stat().st_size < 1.5e6
+    for kind in ("*[!e].mp4", "*-phone.mp4"):
+        assert sum(path.stat().st_size for path in folder.glob(kind)) < 6e6

@@ -3,11 +3,13 @@
 The references of the command line, of scenario files and of the library are made while the site is built, so
 that they cannot be out of date. `ARCHITECTURE.md`, `CONTRIBUTING.md` and its like lie at the root of
 the repository, where people look for them; they become pages of the site, their links changed to the site's.
+The replays of the gallery are shown by viser's client, which is taken from the installed package.
 """
 
 import re
 import shutil
 import tempfile
+from importlib import resources
 from pathlib import Path
 
 from api_reference import ROOT, api_page, overview, packages, public_page
@@ -27,6 +29,8 @@ ROOT_PAGES = {
     "changelog.md": "CHANGELOG.md",
     "security.md": "SECURITY.md",
 }
+REPLAY_PAGE = "gallery/replay.html"
+"""Viser's client: `replay.html?playbackPath=star.viser` shows one run."""
 INTERNALS = "Internals"
 SEARCH_BOOSTS = {"Home": 3.0, "How to": 3.0, "Guides": 2.0, "Live": 2.0, "Reference": 1.0, INTERNALS: 0.3}
 """Factor on the search score of a page, by its innermost section that is listed. Chosen: guides first, then
@@ -56,7 +60,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:
-    """Add the pages that are made from the code, and those from the root of the repository."""
+    """Add the pages made from the code, those from the root of the repository, and viser's client."""
     made = {
         "reference/cli.md": cli_reference(),
         "reference/scenario.md": scenario_reference(),
@@ -65,6 +69,8 @@ def on_files(files: Files, *, config: MkDocsConfig) -> Files:
         **{f"{API}/{package}.md": api_page(package, folder) for package, folder in packages().items()},
         **{page: from_root((ROOT / name).read_text()) for page, name in ROOT_PAGES.items()},
     }
+    client = resources.files("viser") / "client/build/index.html"
+    made[REPLAY_PAGE] = client.read_text(encoding="utf-8")
     for path, text in made.items():
         files.append(File.generated(config, path, content=text))
     return files

@@ -160,7 +160,7 @@ def _report_step(progress: Progress, mission: Mission, step: Step) -> None:
     progress.update(name, step.time_s, duration_s, state)
 
 
-def make_report(folder: Path, *, film: bool = True, jobs: int = 1) -> dict[str, Any]:
+def make_report(folder: Path, *, film: bool = True, embed: bool = False, jobs: int = 1) -> dict[str, Any]:
     """Make figures, summary and page from the recording in a folder, and return the summary.
 
     The summary's key `recording` lists what an incomplete recording lacks.
@@ -168,6 +168,7 @@ def make_report(folder: Path, *, film: bool = True, jobs: int = 1) -> dict[str, 
     Args:
         folder: a run's folder.
         film: also remake the video, if the recording has the cameras' images.
+        embed: put videos and replay into the page, so that it can be sent alone.
         jobs: number of cores to use, as in `run_mission`.
 
     Raises:
@@ -185,7 +186,7 @@ def make_report(folder: Path, *, film: bool = True, jobs: int = 1) -> dict[str, 
                 for step in read_steps(folder / RECORDING):
                     recorder.write(step)
                 recorder.conclude(recorded.summary["verdict"], is_good=recorded.summary["converged"])
-        return _write_report(folder, recorded, jobs)
+        return _write_report(folder, recorded, jobs, embed=embed)
 
 
 @dataclass(frozen=True)
@@ -206,7 +207,7 @@ class _Recorded:
         return cls(recording, history, summary)
 
 
-def _write_report(folder: Path, recorded: _Recorded, jobs: int) -> dict[str, Any]:
+def _write_report(folder: Path, recorded: _Recorded, jobs: int, *, embed: bool = False) -> dict[str, Any]:
     """Write figures, summary and page of a recording into its folder, and return the summary."""
     recording, history, summary = recorded.recording, recorded.history, recorded.summary
     (folder / FIGURES).mkdir(exist_ok=True)
@@ -220,5 +221,6 @@ def _write_report(folder: Path, recorded: _Recorded, jobs: int) -> dict[str, Any
         figures=figures,
         versions=recording.versions,
         scenario_text=scenario,
+        embed=embed,
     )
     return summary

@@ -9,7 +9,7 @@ from skyherd.datasets import load_mission, read_interventions
 from skyherd.markers.dictionary import marker_cells
 from skyherd.play.pictures import ground_picture, marker_picture
 from skyherd.play.poses import VIEW_FOV_RAD, Window, field_of_view_rad, view_of, wxyz_about_z, wxyz_of
-from skyherd.play.scene import corners_m
+from skyherd.play.scene import corners_m, drawn_grid_m
 from skyherd.play.session import Change, Pause, Restart, SingleStep
 from skyherd.play.wording import describe, escaped
 from skyherd.report.access import Access
@@ -22,13 +22,16 @@ class TestScene:
             session.ask(Pause(True))
             wait_until(lambda: session.is_paused and page._step is session._step and not page._news.qsize())
             session.ask(SingleStep())
+            grid_m = drawn_grid_m(session.mission)
             wait_until(
-                lambda: page._step is session._step and scene._robots[5].position[0] == _place(page)[0]
+                lambda: (
+                    page._step is session._step
+                    and np.allclose(scene._robots[5].position[:2], _place(page), rtol=0, atol=grid_m / 2)
+                )
             )
             step = session._step
-            np.testing.assert_allclose(scene._robots[5].position[:2], step.positions_m[5])
-            unit = scene._units[1].body
-            np.testing.assert_allclose(unit.position, [*step.fleet.positions_m[1], step.fleet.heights_m[1]])
+            unit, place = scene._units[1].body, [*step.fleet.positions_m[1], step.fleet.heights_m[1]]
+            np.testing.assert_allclose(unit.position, place, rtol=0, atol=grid_m / 2)
             assert len(scene._robots) == 16 and len(scene._units) == 3
 
     def test_dead_unit_loses_frustum_and_colour(self, open_page):
@@ -63,6 +66,19 @@ def _place(page):
 
 
 class TestGeometry:
+    def test_drawn_grid_is_below_a_hundredth_of_a_marker(self):
+        """It is a power of two, so that numbers on it have few digits."""
+        for side_m in (0.02, 0.3, 1.0, 7.0):
+            grid_m = drawn_grid_m(load_mission("star", [f"marker.side_m={side_m}"]))
+            assert side_m / 200 < grid_m <= side_m / 100
+            assert np.log2(grid_m) == round(np.log2(grid_m))
+
+    def test_drawn_angles_are_right_to_a_thirtieth_of_a_degree(self):
+        for angle_rad in np.linspace(-np.pi, np.pi, 1001):
+            w, _, _, z = wxyz_about_z(angle_rad)
+            error_rad = np.angle(np.exp(1j * (2 * np.arctan2(z, w) - angle_rad)))
+            assert abs(np.degrees(error_rad)) < 1 / 30 and abs(np.hypot(w, z) - 1) < 3e-4
+
     def test_ground_picture_holds_the_robots(self):
         """It is pale, and shows the ground around all robots."""
         mission = load_mission("star")

@@ -4,6 +4,7 @@ import base64
 import re
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -13,8 +14,10 @@ from play_pages import moved, wait_until
 
 from skyherd import load_mission, run_steps
 from skyherd.datasets import read_interventions
+from skyherd.drawing.palette import unit_rgb
 from skyherd.play.messages import MessageFilter
-from skyherd.play.replay import Replay, replay_html
+from skyherd.play.replay import Replay, replay_data, replay_html
+from skyherd.play.scene import GREY, drawn_grid_m
 from skyherd.play.server import start_server, stop_server
 from skyherd.play.session import End
 from skyherd.play.view_page import PlayOrPause, Seek, ViewPage
@@ -75,8 +78,32 @@ class TestReplay:
             replay.draw(index)
             step = replay.steps[index]
             node, body = replay.scene._robots[5], replay.scene._units[2].body
-            np.testing.assert_allclose(node.position[:2], step.positions_m[5])
-            np.testing.assert_allclose(body.position, [*step.fleet.positions_m[2], step.fleet.heights_m[2]])
+            atol = drawn_grid_m(replay.mission) / 2
+            np.testing.assert_allclose(node.position[:2], step.positions_m[5], rtol=0, atol=atol)
+            place = [*step.fleet.positions_m[2], step.fleet.heights_m[2]]
+            np.testing.assert_allclose(body.position, place, rtol=0, atol=atol)
+
+    def test_rings_have_the_colours_of_the_units_that_control(self, replay):
+        """A ring is divided between the units; viser takes light instead of sRGB values."""
+        replay.draw(0)
+        step = replay.steps[0]
+        for row, robot in enumerate(replay.mission.ids.tolist()):
+            units = [unit for unit, ids in step.control_sets.items() if robot in ids]
+            node = replay.scene._rings[row]._node
+            shown = {tuple(color) for color in node.colors[:, 0].tolist()}
+            wanted = [unit_rgb(unit) for unit in units] or [GREY]
+            assert shown == {tuple(np.rint(255 * (np.array(rgb) / 255) ** 2.2)) for rgb in wanted}
+            assert node.name == f"/robots/{robot}/ring"
+
+    def test_circles_are_at_the_points_of_the_shape(self, replay):
+        """The circle's centre is the end of the way that starts at the robot."""
+        replay.draw(30)
+        step = replay.steps[30]
+        ways = replay.scene._lines["ways"]._node.points
+        goals = np.array([node._node.position for node in replay.scene._goals])
+        np.testing.assert_allclose(ways[:, 1], goals, rtol=0, atol=1e-6)
+        atol = drawn_grid_m(replay.mission) / 2 + 1e-6
+        np.testing.assert_allclose(ways[:, 0, :2], step.positions_m, rtol=0, atol=atol)
 
     def test_traces_do_not_depend_on_the_way_to_a_time(self, replay):
         for index in range(0, 61, 3):
@@ -125,7 +152,11 @@ class TestPage:
 def content_of(page):
     """Return the messages in an HTML file, as viser's client reads them."""
     (data,) = re.findall(r'__VISER_EMBED_DATA__="([^"]+)"', page)
-    packed = base64.b64decode(data)
+    return unpacked(base64.b64decode(data))
+
+
+def unpacked(packed):
+    """Return the messages in viser's file of a scene."""
     inner = zstandard.ZstdDecompressor().decompress(packed[8:], int.from_bytes(packed[:8], "little"))
     return msgspec.msgpack.decode(inner[8 : 8 + int.from_bytes(inner[:8], "little")], strict=False)
 
@@ -142,7 +173,35 @@ class TestHtml:
         assert len(places) >= 50
         for time_s, place in places.items():
             step = steps[round(time_s / mission.scenario.step_s)]
-            np.testing.assert_allclose(place, step.positions_m[5], atol=1e-6)
+            atol = drawn_grid_m(mission) / 2
+            np.testing.assert_allclose(place, step.positions_m[5], rtol=0, atol=atol)
+
+    def test_robots_at_rest_add_nothing_but_points_of_traces(self, run):
+        mission, steps = run
+        still = [replace(steps[0], time_s=0.1 * number) for number in range(30)]
+        messages = content_of(replay_html(mission, still))["messages"]
+        assert len(messages) > 100
+        assert {message["name"] for time_s, message in messages if time_s > 0} == {"/lines/traces"}
+
+    def test_images_of_a_file_are_small_and_few(self, run):
+        """Each unit has an image at the start and, as robots move, every two seconds; a dead one has none."""
+        mission, steps = run
+        images = [
+            (time_s, message["name"])
+            for time_s, message in content_of(replay_html(mission, steps))["messages"]
+            if "_image_data" in message.get("updates", {}) and time_s > 0
+        ]
+        assert {name for _, name in images} == {"/cameras/0", "/cameras/1", "/cameras/2"}
+        for unit, most in ((0, 6), (1, 5), (2, 6)):
+            times_s = [time_s for time_s, name in images if name == f"/cameras/{unit}"]
+            assert 3 <= len(times_s) <= most
+            assert min(np.diff(times_s)) > 1.9
+
+    def test_data_is_what_the_page_holds(self, run):
+        mission, steps = run
+        page, data = replay_html(mission, steps[:20]), replay_data(mission, steps[:20])
+        assert content_of(page)["durationSeconds"] == unpacked(data)["durationSeconds"]
+        assert len(content_of(page)["messages"]) == len(unpacked(data)["messages"])
 
     def test_run_of_one_step_is_written(self, run):
         mission, steps = run

@@ -19,6 +19,10 @@ def report(
         bool,
         typer.Option("--replay", help="Show the simulated run in 3-D on the page, from a file beside it."),
     ] = False,
+    embed: Annotated[
+        bool,
+        typer.Option("--embed", help="Put videos and replay into the page, so that it can be sent alone."),
+    ] = False,
 ) -> int:
     """Make figures, summary and page again from a recorded run.
 
@@ -31,11 +35,12 @@ def report(
     from skyherd.runner import RECORDING, make_report
 
     is_simulated = is_simulated_run(folder, "report")
+    for option, is_given in (("--replay", replay), ("--embed", embed)):
+        if is_given and not is_simulated:
+            raise InputError(option, f"{folder} is of a live run", "leave it out, or a simulated run")
     if replay:
-        if not is_simulated:
-            raise InputError("--replay", f"{folder} is of a live run", "leave it out, or a simulated run")
         write_replay(folder / RECORDING, folder / REPLAY, force=True)
-    summary = make_report(folder, jobs=cores()) if is_simulated else make_live_report(folder)
+    summary = make_report(folder, embed=embed, jobs=cores()) if is_simulated else make_live_report(folder)
     if "recording" in summary:
         where = folder / RECORDING if is_simulated else folder
         warn(f"{where}: {summary['recording']}; the report shows the readable part")

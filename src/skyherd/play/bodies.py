@@ -36,6 +36,10 @@ FRUSTUM_SIZE = 0.12
 """Size of a frustum over the unit's height. Chosen: the image is legible, and frustums do not overlap."""
 
 
+IMAGE_QUALITY = 50
+"""JPEG quality of the live images in the scene, per cent. Chosen: ids stay legible, 0.7 of the usual size."""
+
+
 @dataclass(frozen=True)
 class UnitNodes:
     """Nodes of one unit.
@@ -137,6 +141,7 @@ class Bodies:
             thickness_units="screen",
             color=unit_rgb(unit),
             format="jpeg",
+            jpeg_quality=IMAGE_QUALITY,
         )
 
     def _add_card(self, name: str, marker: int, height_m: float) -> "viser.ImageHandle":

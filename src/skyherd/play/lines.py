@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from skyherd.geometry import Array
+from skyherd.play.poses import Place
 
 if TYPE_CHECKING:
     import viser
@@ -31,6 +32,11 @@ def circles(centers_m: Array, radius_m: float) -> Array:
     return (centers_m[:, None, None] + radius_m * UNIT_CIRCLE).reshape(-1, 2, 3)
 
 
+def circle(radius_m: float, height_m: float) -> Array:
+    """Return the segments of a horizontal circle above the origin."""
+    return circles(np.array([[0.0, 0.0, height_m]]), radius_m)
+
+
 def _circle() -> Array:
     angles_rad = np.linspace(0.0, 2 * np.pi, CIRCLE_SEGMENTS + 1)
     return chain(lifted(np.column_stack([np.cos(angles_rad), np.sin(angles_rad)]), 0.0))
@@ -41,7 +47,7 @@ UNIT_CIRCLE = _circle()
 
 
 class Lines:
-    """A set of line segments that changes at each step.
+    """A set of line segments that changes at each step. Unchanged parts are not sent again.
 
     Args:
         scene: the scene of the server.
@@ -68,3 +74,7 @@ class Lines:
             each = np.broadcast_to(linear, (len(segments), 3))
             self._node.points = segments.astype(np.float32)
             self._node.colors = np.repeat(each[:, None], 2, axis=1)
+
+    def move(self, place_m: Place) -> None:
+        """Move the origin of the segments to a place, m."""
+        self._node.position = place_m

@@ -1,8 +1,9 @@
 """Pictures of the scene: ground, marker cards, and the units' live images."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from skyherd.analysis.goal_points import outline_px
@@ -24,6 +25,13 @@ PALE = 0.45
 
 LIVE_PX = 400
 """Width of a unit's image, px. Chosen: the width of the panel on a laptop."""
+
+SMALL_PX = 240
+"""Width of a unit's image in a file, px. Chosen: the width that it has in the scene on a laptop."""
+
+CHANGED_LEVELS, CHANGED_SHARE = 64, 0.002
+"""Grey levels by which a value has changed, and the share of such values in an image that has. Chosen: a
+robot that moves by two pixels of the small image."""
 
 
 def ground_picture(mission: Mission) -> tuple[RgbImage, Array, float]:
@@ -128,3 +136,29 @@ class LiveImages:
 
     def _image(self, unit: int) -> LiveImage:
         return LiveImage(unit, self._canvases[unit], self._panels[unit].picture)
+
+
+class SmallImages:
+    """Live images for a file: small, and only those in which something has moved.
+
+    Attributes:
+        newest: picture that is shown, by unit.
+    """
+
+    def __init__(self) -> None:
+        self.newest: dict[int, RgbImage] = {}
+
+    def changed(self, images: Iterable[LiveImage]) -> list[LiveImage]:
+        """Return the images that differ from those shown, with small plain pictures, and keep them."""
+        small = []
+        for image in images:
+            height, width = image.plain.shape[:2]
+            size_px = (SMALL_PX, round(SMALL_PX * height / width))
+            plain = cv2.resize(image.plain, size_px, interpolation=cv2.INTER_AREA).astype(
+                np.uint8, copy=False
+            )
+            shown = self.newest.get(image.unit)
+            if shown is None or np.mean(cv2.absdiff(plain, shown) > CHANGED_LEVELS) > CHANGED_SHARE:
+                self.newest[image.unit] = plain
+                small.append(replace(image, plain=plain))
+        return small

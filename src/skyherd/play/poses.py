@@ -15,6 +15,9 @@ VIEW_FOV_RAD = np.radians(40.0)
 VIEW_DOWN_RAD = np.radians(32.0)
 """Angle of the first view below the horizon, rad. Chosen: the units are above the robots in the picture."""
 
+ROTATION_GRID = 2.0**-12
+"""Grid of the quaternions' components. Chosen: angles to 0.03 degrees, too little to be seen."""
+
 PHONE_PX = 576
 """Width of a window below which viser puts the panel at its bottom, px. Defined by viser."""
 
@@ -22,15 +25,24 @@ Wxyz = tuple[float, float, float, float]
 Place = tuple[float, float, float]
 
 
+def on_grid(values: Array, grid: float) -> Array:
+    """Return values rounded to multiples of a power of two.
+
+    A smaller motion then sends nothing, and numbers with few digits compress well.
+    """
+    return np.round(values / grid) * grid
+
+
 def wxyz_of(rotation: Array) -> Wxyz:
-    """Return the unit quaternion (w, x, y, z) of a rotation matrix (3, 3)."""
-    x, y, z, w = Rotation.from_matrix(rotation).as_quat().tolist()
+    """Return the quaternion (w, x, y, z) of a rotation matrix (3, 3), of length 1 within 0.0003."""
+    x, y, z, w = on_grid(Rotation.from_matrix(rotation).as_quat(), ROTATION_GRID).tolist()
     return w, x, y, z
 
 
 def wxyz_about_z(angle_rad: float) -> Wxyz:
-    """Return the unit quaternion (w, x, y, z) of a rotation about the vertical."""
-    return float(np.cos(angle_rad / 2)), 0.0, 0.0, float(np.sin(angle_rad / 2))
+    """Return the quaternion (w, x, y, z) of a rotation about the vertical, of length 1 within 0.0003."""
+    w, z = on_grid(np.array([np.cos(angle_rad / 2), np.sin(angle_rad / 2)]), ROTATION_GRID).tolist()
+    return w, 0.0, 0.0, z
 
 
 FACE_UP: Wxyz = (0.0, 1.0, 0.0, 0.0)

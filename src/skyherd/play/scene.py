@@ -19,13 +19,14 @@ from skyherd.geometry import Array, to_complex, to_points
 from skyherd.loop import Step, UnitFrame
 from skyherd.play.belief import belief_of
 from skyherd.play.bodies import DEAD, UNIT_SIZE, Bodies
-from skyherd.play.lines import CIRCLE_SEGMENTS, Lines, chain, circles, lifted
+from skyherd.play.lines import Lines, chain, circle, circles, lifted
 from skyherd.play.pictures import LiveImage, ground_picture
 from skyherd.play.poses import (
     FACE_UP,
     VIEW_FOV_RAD,
     Window,
     field_of_view_rad,
+    on_grid,
     view_of,
     wxyz_about_z,
     wxyz_of,
@@ -47,6 +48,9 @@ of the body."""
 LIFT_SIDES = 0.02
 """Height of lines above the ground, marker sides. Chosen: no flicker against the ground."""
 
+GRID_SIDES = 1 / 100
+"""Upper bound of the grid of drawn places, marker sides. Chosen: far below a pixel of the whole scene."""
+
 GREY = (92, 98, 106)
 """Colour of traces, and of rings around robots that no unit controls. Chosen: contrast of 3 to the ground."""
 
@@ -54,8 +58,11 @@ SEEN_SIDES = 0.7
 """Radius of the ring at the place where a unit believes a robot, marker sides. Chosen: differs from the ring
 around the robot."""
 
-LINES = {"traces": 1.5, "outline": 3.0, "goals": 1.5, "rings": 3.0, "tree": 3.0, "belief": 2.0}
+LINES = {"traces": 1.5, "outline": 3.0, "ways": 1.5, "tree": 3.0, "belief": 2.0}
 """Sets of lines, and their widths on the screen, px."""
+
+RING_PX, GOAL_PX = 3.0, 1.5
+"""Widths of a robot's ring and of the circle at its point, on the screen, px."""
 
 
 class Scene:
@@ -73,6 +80,7 @@ class Scene:
     def __init__(self, server: "viser.ViserServer", mission: Mission) -> None:
         self._server, self._scene = server, server.scene
         self._side_m = mission.scenario.marker.side_m
+        self._grid_m = drawn_grid_m(mission)
         self._ids = mission.ids
         self._past_m: deque[Array] = deque(maxlen=TRACE_POINTS)
         self._past_s = -TRACE_S
@@ -86,10 +94,14 @@ class Scene:
         bodies = Bodies(self._scene, mission)
         bodies.add_obstacles()
         self._robots: list[viser.FrameHandle] = []
+        self._rings: list[Lines] = []
+        self._goals: list[Lines] = []
         self._clickable: list[tuple[str, viser.BoxHandle | viser.ImageHandle]] = []
         for robot in mission.ids.tolist():
             node, clickable = bodies.add_robot(robot)
             self._robots.append(node)
+            self._rings.append(Lines(self._scene, f"/robots/{robot}/ring", RING_PX))
+            self._goals.append(Lines(self._scene, f"/goals/{robot}", GOAL_PX))
             self._clickable += [(f"robot {robot}", part) for part in clickable]
         self._units = [bodies.add_unit(unit) for unit in range(len(mission.scenario.units))]
         self._clickable += [(f"unit {unit}", nodes.painted[0]) for unit, nodes in enumerate(self._units)]
@@ -119,27 +131,33 @@ class Scene:
         self._newest.update({unit: (frame, step) for unit, frame in step.frames.items()})
         if step.time_s - self._past_s >= TRACE_S / TRACE_POINTS:
             self._past_s = step.time_s
-            self._past_m.append(step.positions_m)
+            self._past_m.append(self._placed(step.positions_m))
 
     def draw(self, step: Step, mission: Mission, images: Sequence[LiveImage]) -> None:
         """Draw a step, which has been collected, of a mission with the interventions so far."""
         dead = frozenset(mission.scenario.dead_units(step.time_s))
         with self._server.atomic():
             for node, position_m, heading_rad in zip(
-                self._robots, step.positions_m.tolist(), step.headings_rad.tolist(), strict=True
+                self._robots, self._placed(step.positions_m).tolist(), step.headings_rad.tolist(), strict=True
             ):
                 node.position = (*position_m, 0.0)
                 node.wxyz = wxyz_about_z(heading_rad)
             self._draw_units(step, mission, dead)
             self._draw_lines(step, mission, dead)
+            self._draw_rings(step)
             for image in images:
                 self._units[image.unit].frustum.image = image.plain
+
+    def _placed(self, points_m: Array) -> Array:
+        """Return points on the grid of what is drawn."""
+        return on_grid(points_m, self._grid_m)
 
     def _draw_units(self, step: Step, mission: Mission, dead: frozenset[int]) -> None:
         cameras = mission.cameras_at(step.time_s)
         for unit, nodes in enumerate(self._units):
             pose = step.fleet.pose(unit)
-            place = (*pose.position_m, pose.height_m)
+            x, y, z = self._placed(np.array([*pose.position_m, pose.height_m])).tolist()
+            place = (x, y, z)
             nodes.body.position, nodes.body.wxyz = place, wxyz_about_z(pose.yaw_rad)
             nodes.frustum.position, nodes.frustum.wxyz = place, wxyz_of(rotation_camera_world(pose).T)
             nodes.frustum.fov = field_of_view_rad(cameras[unit], pose.zoom)
@@ -151,18 +169,22 @@ class Scene:
 
     def _draw_lines(self, step: Step, mission: Mission, dead: frozenset[int]) -> None:
         low_m = LIFT_SIDES * self._side_m
-        past = np.array([*self._past_m, step.positions_m])
+        positions_m = self._placed(step.positions_m)
+        past = np.array([*self._past_m, positions_m])
         traces = lifted(np.stack([past[:-1], past[1:]], axis=2).reshape(-1, 2, 2), low_m)
         self._lines["traces"].show(traces, np.array(GREY))
         goals_m, outline_m = self._shape_m(step, mission)
         purple = np.array(rgb(TEMPLATE_COLOR))
         self._lines["outline"].show(np.concatenate([np.zeros((0, 2, 3)), *map(chain, outline_m)]), purple)
-        if len(goals_m):
-            ways = np.stack([lifted(step.positions_m, low_m), goals_m], axis=1)
-            goals_m = np.concatenate([ways, circles(goals_m, GOAL_SIDES * self._side_m)])
-        self._lines["goals"].show(goals_m, purple)
+        no_lines = np.zeros((0, 2, 3))
+        ways = np.stack([lifted(positions_m, low_m), goals_m], axis=1) if len(goals_m) else no_lines
+        self._lines["ways"].show(ways, purple)
+        goal = circle(GOAL_SIDES * self._side_m, 0.0) if len(goals_m) else no_lines
+        for node in self._goals:
+            node.show(goal, purple)
+        for node, (x, y, z) in zip(self._goals, goals_m.tolist(), strict=False):
+            node.move((x, y, z))
         self._lines["belief"].show(*self._belief(mission, dead))
-        self._lines["rings"].show(*self._rings(step))
         self._lines["tree"].show(*self._tree(step, dead))
 
     def _shape_m(self, step: Step, mission: Mission) -> tuple[Array, list[Array]]:
@@ -173,8 +195,9 @@ class Scene:
         except DegenerateSetError:
             return np.zeros((0, 3)), []
         height_m = 2 * LIFT_SIDES * self._side_m
-        lines = [lifted(to_points(fit(line.conj())), height_m) for line in mission.outline_at(step.time_s)]
-        return lifted(to_points(fit(template)), height_m), lines
+        outline = mission.outline_at(step.time_s)
+        lines = [lifted(self._placed(to_points(fit(line.conj()))), height_m) for line in outline]
+        return lifted(self._placed(to_points(fit(template))), height_m), lines
 
     def _belief(self, mission: Mission, dead: frozenset[int]) -> tuple[Array, Array]:
         """Return the segments of a unit's knowledge, and its colour; none if no unit is chosen."""
@@ -194,15 +217,13 @@ class Scene:
         ]
         return np.concatenate(parts), np.array(unit_rgb(unit))
 
-    def _rings(self, step: Step) -> tuple[Array, Array]:
-        """Return the segments of the rings around the robots, and their colours by controlling unit."""
-        centers = lifted(step.positions_m, 3 * LIFT_SIDES * self._side_m)
+    def _draw_rings(self, step: Step) -> None:
+        """Colour the rings around the robots by their controlling units."""
+        ring = circle(RING_SIDES * self._side_m, 3 * LIFT_SIDES * self._side_m)
         owners = owners_by_robot(step.control_sets)
-        colors = []
-        for robot in self._ids.tolist():
+        for robot, node in zip(self._ids.tolist(), self._rings, strict=True):
             each = [unit_rgb(unit) for unit in owners.get(robot, [])] or [GREY]
-            colors += [each[k * len(each) // CIRCLE_SEGMENTS] for k in range(CIRCLE_SEGMENTS)]
-        return circles(centers, RING_SIDES * self._side_m), np.array(colors)
+            node.show(ring, np.array([each[k * len(each) // len(ring)] for k in range(len(ring))]))
 
     def _tree(self, step: Step, dead: frozenset[int]) -> tuple[Array, Array]:
         """Return a line between each two living units that share at least two robots, and its colour."""
@@ -217,6 +238,11 @@ class Scene:
         self._scene.add_image(
             "/ground", picture, side_m, side_m, format="jpeg", wxyz=FACE_UP, position=(x, y, 0.0)
         )
+
+
+def drawn_grid_m(mission: Mission) -> float:
+    """Return the grid of drawn places, m: the power of two below `GRID_SIDES` marker sides."""
+    return float(2.0 ** np.floor(np.log2(GRID_SIDES * mission.scenario.marker.side_m)))
 
 
 def clicking(choose: Callable[[str], None], name: str) -> Callable[[object], None]:

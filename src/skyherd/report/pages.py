@@ -1,10 +1,11 @@
 """Common base of all pages: template engine and shared page parts.
 
 A page is one HTML file that needs no network or script. Pictures are embedded as data URIs, and so are the
-last frames of videos. Videos lie beside the page. Markup is in templates only. Every page extends
-`report/templates/base.html`, which includes the style sheet `page.css`, and imports the macros of
-`parts.html`. Packages above this one have a folder `templates/` of their own. The template engine
-escapes all inserted text, so that no text of a scenario, a study or a detector's name can become markup.
+last frames of videos. Videos lie beside the page, or are embedded if the page is to be sent alone. Markup is
+in templates only. Every page extends `report/templates/base.html`, which includes the style sheet `page.css`,
+and imports the macros of `parts.html`. Packages above this one have a folder `templates/` of their own. The
+template engine escapes all inserted text, so that no text of a scenario, a study or a detector's name can
+become markup.
 """
 
 from base64 import b64encode
@@ -46,7 +47,7 @@ class VideoCard:
 
     Attributes:
         shape: CSS class: `wide` or `phone`.
-        source: name of the video, which lies beside the page.
+        source: name of the video, which lies beside the page, or the video as a data URI.
         poster: its last frame, as a data URI.
     """
 
@@ -123,9 +124,15 @@ def data_uri(path: Path, media_type: str) -> str:
     return f"data:{media_type};base64,{b64encode(path.read_bytes()).decode('ascii')}"
 
 
-def video_card(path: Path, shape: str) -> VideoCard:
-    """Return an MP4 file beside a page as a card of the page, with its last frame as the poster."""
+def video_card(path: Path, shape: str, *, embed: bool) -> VideoCard:
+    """Return an MP4 file as a card of a page, with its last frame as the poster.
+
+    Args:
+        path: the file.
+        shape: CSS class: `wide` or `phone`.
+        embed: put the file into the page; it must lie beside the page otherwise.
+    """
     picture = BytesIO()
     Image.fromarray(read_last_frame(path)).save(picture, "JPEG", quality=POSTER_QUALITY)
     poster = f"data:image/jpeg;base64,{b64encode(picture.getvalue()).decode('ascii')}"
-    return VideoCard(shape, path.name, poster)
+    return VideoCard(shape, data_uri(path, "video/mp4") if embed else path.name, poster)

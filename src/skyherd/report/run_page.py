@@ -12,10 +12,10 @@ from skyherd.plots.panels import FigureFile
 from skyherd.report.pages import Tile, figure_card, render_page, video_card
 
 PAGE, VIDEO, PHONE_VIDEO = "report.html", "video.mp4", "video-phone.mp4"
-"""Files in a run's folder: the page, and the videos that it shows from beside it."""
+"""Files in a run's folder: the page, and the videos that it shows."""
 
 REPLAY = "replay.html"
-"""File in a run's folder with the run in 3-D, which the page shows from beside it if it exists."""
+"""File in a run's folder with the run in 3-D, which the page shows if it exists."""
 
 PAPER = "https://doi.org/10.1109/TCST.2018.2834308"
 """Address of the paper whose controller the runs use."""
@@ -48,8 +48,10 @@ def write_page(
     figures: list[FigureFile],
     versions: Mapping[str, str],
     scenario_text: str,
+    *,
+    embed: bool = False,
 ) -> Path:
-    """Write `report.html` into a run's folder, with the folder's videos if there are any.
+    """Write `report.html` into a run's folder, with the folder's videos and replay if there are any.
 
     Args:
         folder: the run's output folder.
@@ -58,6 +60,7 @@ def write_page(
         figures: files to embed, in the order shown.
         versions: versions of the run's programs, by name.
         scenario_text: the whole scenario, as TOML or JSON.
+        embed: put videos and replay into the page, which shows them from beside it otherwise.
 
     Returns:
         the path of the page.
@@ -76,8 +79,12 @@ def write_page(
         description=scenario.description,
         is_good=summary["complete"] and summary["converged"],
         status=_status(summary),
-        videos=[video_card(folder / name, shape) for name, shape in videos if (folder / name).exists()],
-        replay=REPLAY if (folder / REPLAY).exists() else None,
+        videos=[
+            video_card(folder / name, shape, embed=embed)
+            for name, shape in videos
+            if (folder / name).exists()
+        ],
+        replay=_replay_attributes(folder / REPLAY, embed=embed),
         paper=PAPER,
         tiles=[Tile(value_text(fields[key], summary.get(key)), fields[key].label) for key in TILES],
         figures=[figure_card(figure) for figure in figures],
@@ -90,6 +97,13 @@ def write_page(
         versions=versions,
     )
     return write_text(folder / PAGE, page)
+
+
+def _replay_attributes(path: Path, *, embed: bool) -> dict[str, str]:
+    """Return the attribute of a frame that shows the replay; none if there is no replay."""
+    if not path.exists():
+        return {}
+    return {"srcdoc": path.read_text("utf-8")} if embed else {"src": path.name}
 
 
 def _status(summary: Mapping[str, object]) -> str:

@@ -6,15 +6,19 @@ which a square is guessed whose own outline cannot be seen. Many of them are no 
 `skyherd.vision.diagnosis.quad_reading` reads them.
 """
 
+import math
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, BoolArray
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.grey import Image
+
+Contour = npt.NDArray[Any]
+"""A contour as OpenCV has it: (M, 1, 2) points, px."""
 
 MIN_CANDIDATE_SIDE_PX = 6.0
 """Smallest side of a candidate, px. Chosen smaller than that of any detector, so that what is too small to be
@@ -43,6 +47,9 @@ there are many groups."""
 MAX_GROUPS = 400
 """Largest number of groups that are looked at for each closing, the largest first. Chosen: for the time."""
 
+SQUARES_AT_ONCE = 8192
+"""Number of squares whose borders are looked at at once. Chosen: bounds the memory."""
+
 MAX_EDGES, SAME_DIRECTION_RAD = 6, 0.07
 """Of a group, the directions of so many edges of its hull are tried for the grid, those that differ by less
 than the second value, rad, once. Chosen: 4 degrees, a cell in the length of two markers."""
@@ -52,50 +59,54 @@ SQUARENESS_DEG = 35.0
 do."""
 
 
-def dark_patches(image: Image) -> Array:
-    """Return the smallest rectangles (N, 4, 2), px, around dark patches, if they are nearly square.
+def dark_shapes(image: Image) -> list[Contour]:
+    """Return the outer contours (M, 1, 2), px, of what is dark against its wider surroundings.
+
+    Those that are smaller than any candidate are left out.
+    """
+    window = max(MIN_WINDOW_PX, 2 * (min(image.shape) // 12) + 1)
+    shapes: list[Contour] = []
+    for constant in THRESHOLDS:
+        dark = cv2.adaptiveThreshold(
+            image, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV, window, constant
+        )
+        contours, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
+        # The contour of a square encloses a pixel less than its side along each axis.
+        least = (MIN_CANDIDATE_SIDE_PX - 1) ** 2
+        shapes += [contour for contour in contours if cv2.contourArea(contour) >= least]
+    return shapes
+
+
+def dark_patches(shapes: list[Contour]) -> Array:
+    """Return the smallest rectangles (N, 4, 2), px, around dark shapes, if they are nearly square.
 
     Markers that are covered in part look like this.
     """
     quads: list[Array] = []
-    for dark in _dark(image):
-        contours, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-        for contour in contours:
-            rectangle = cv2.minAreaRect(contour)
-            shorter, longer = sorted(rectangle[1])
-            if shorter > MIN_CANDIDATE_SIDE_PX and longer < 1.2 * shorter:
-                quads.append(cv2.boxPoints(rectangle).astype(float))
+    for shape in shapes:
+        rectangle = cv2.minAreaRect(shape)
+        shorter, longer = sorted(rectangle[1])
+        if shorter > MIN_CANDIDATE_SIDE_PX and longer < 1.2 * shorter:
+            quads.append(cv2.boxPoints(rectangle).astype(float))
     return _stacked(quads)
 
 
-def _dark(image: Image) -> list[Image]:
-    """Return masks of what is dark against its wider surroundings, one for each threshold."""
-    window = max(MIN_WINDOW_PX, 2 * (min(image.shape) // 12) + 1)
-    mean, below = cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY_INV
-    masks = [cv2.adaptiveThreshold(image, 255, mean, below, window, constant) for constant in THRESHOLDS]
-    return [np.asarray(mask, dtype=np.uint8) for mask in masks]
-
-
-def cut_squares(image: Image, dictionary: str) -> Array:
+def cut_squares(shapes: list[Contour], image_size_px: IntArray, dictionary: str) -> Array:
     """Return squares (N, 4, 2), px, through the corners left of dark shapes that the image's border cuts."""
-    height, width = image.shape
+    width, height = image_size_px.tolist()
     squares: list[Array] = []
-    for dark in _dark(image):
-        framed = cv2.copyMakeBorder(dark, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
-        contours, _ = cv2.findContours(framed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-        for contour in contours:
-            points = contour[:, 0, :].astype(float) - 1
-            u, v = points.T
-            touches = u.min() < 1 or v.min() < 1 or u.max() > width - 2 or v.max() > height - 2
-            if touches and cv2.contourArea(contour) > MIN_CANDIDATE_SIDE_PX**2:
-                squares += _complete(contour, (width, height), cells_per_side(dictionary))
+    for shape in shapes:
+        left, top, wide, high = cv2.boundingRect(shape)
+        touches = left < 1 or top < 1 or left + wide > width - 1 or top + high > height - 1
+        if touches and cv2.contourArea(shape) > MIN_CANDIDATE_SIDE_PX**2:
+            squares += _complete(shape, (width, height), cells_per_side(dictionary))
     return _stacked(squares)
 
 
-def _complete(contour: npt.NDArray[Any], size_px: tuple[int, int], n: int) -> list[Array]:
+def _complete(contour: Contour, size_px: tuple[int, int], n: int) -> list[Array]:
     """Return squares that have the corners of a contour (M, 1, 2) which lie inside the image."""
     hull = cv2.convexHull(contour)
-    outline = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)[:, 0, :].astype(float) - 1
+    outline = cv2.approxPolyDP(hull, 0.04 * cv2.arcLength(hull, True), True)[:, 0, :].astype(float)
     if not 3 <= len(outline) <= 7:
         return []
     limit = np.array(size_px) - 1.0
@@ -135,8 +146,8 @@ def bright_groups(image: Image, dictionary: str) -> Array:
     """
     n, border = cells_per_side(dictionary), border_cells(dictionary)
     bits = n - 2 * border
-    squares: list[Array] = []
-    smooth = cv2.GaussianBlur(image, (0, 0), 1.0)
+    rectangles: list[Array] = []
+    smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.0), dtype=np.uint8)
     for window in BRIGHT_WINDOWS_PX:
         bright = cv2.adaptiveThreshold(
             smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, window, -BRIGHTER
@@ -147,8 +158,14 @@ def bright_groups(image: Image, dictionary: str) -> Array:
             contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
             large = [c for c in contours if cv2.contourArea(c) > (MIN_CANDIDATE_SIDE_PX * bits / n) ** 2]
             for contour in sorted(large, key=cv2.contourArea, reverse=True)[:MAX_GROUPS]:
-                squares += _grow(contour, bits, border)
-    return _with_dark_border(np.asarray(smooth, dtype=np.uint8), _stacked(squares), n, border)
+                rectangles += _rectangles_around(contour)
+    squares = _complete_bits(_stacked(rectangles), bits, border)
+    return np.concatenate(
+        [
+            _with_dark_border(smooth, squares[first : first + SQUARES_AT_ONCE], n, border)
+            for first in range(0, max(len(squares), 1), SQUARES_AT_ONCE)
+        ]
+    )
 
 
 def _stacked(quads: list[Array]) -> Array:
@@ -175,19 +192,22 @@ def _with_dark_border(image: Image, corners: Array, n: int, border: int) -> Arra
     return np.asarray(corners[dark & (white - black > BRIGHTER)])
 
 
-def _grow(contour: npt.NDArray[Any], bits: int, border: int) -> list[Array]:
-    """Outlines (4, 2) of markers of bits x bits inside a border, whose bits the contour may be."""
+def _rectangles_around(contour: Contour) -> list[Array]:
+    """Return rectangles (4, 2), px, around a contour along the longer edges of its hull."""
     hull = cv2.convexHull(contour)[:, 0, :].astype(float)
-    outlines: list[Array] = []
+    rectangles: list[Array] = []
     for angle in _edge_angles(hull):
         right = np.array([np.cos(angle), np.sin(angle)])
         down = np.array([-right[1], right[0]])
         across, along = hull @ right, hull @ down
         # A contour runs through the middles of the outermost pixels.
-        corner = (across.min() - 0.5) * right + (along.min() - 0.5) * down
-        size_px = np.ptp(across) + 1.0, np.ptp(along) + 1.0
-        outlines += _complete_bits(corner, right, down, size_px, bits, border)
-    return outlines
+        left, top = (across.min() - 0.5) * right, (along.min() - 0.5) * down
+        across_px, along_px = (np.ptp(across) + 1.0) * right, (np.ptp(along) + 1.0) * down
+        first = left + top
+        rectangles.append(
+            np.array([first, first + across_px, first + across_px + along_px, first + along_px])
+        )
+    return rectangles
 
 
 def _edge_angles(hull: Array) -> list[float]:
@@ -197,26 +217,39 @@ def _edge_angles(hull: Array) -> list[float]:
     lengths = np.hypot(*edges.T)
     angles: list[float] = []
     for edge in edges[np.argsort(-lengths)][:MAX_EDGES]:
-        angle = float(np.arctan2(edge[1], edge[0]) % (np.pi / 2))
-        if all(abs(np.angle(np.exp(4j * (angle - other)))) > 4 * SAME_DIRECTION_RAD for other in angles):
+        angle = math.atan2(edge[1], edge[0]) % (math.pi / 2)
+        if all(_between_axes(angle - other) > SAME_DIRECTION_RAD for other in angles):
             angles.append(angle)
     return angles
 
 
-def _complete_bits(
-    corner: Array, right: Array, down: Array, size_px: tuple[float, float], bits: int, border: int
-) -> list[Array]:
-    """Outlines of markers whose white cells may span the rectangle, up to two rows being black."""
-    outlines: list[Array] = []
-    (width, height), n = size_px, bits + 2 * border
-    for columns in range(bits - 2, bits + 1):
-        for rows in range(bits - 2, bits + 1):
-            cell = (width / columns + height / rows) / 2
-            if cell * n < MIN_CANDIDATE_SIDE_PX or abs(width / columns - height / rows) > 0.2 * cell:
-                continue
-            for left in range(bits - columns + 1):
-                for top in range(bits - rows + 1):
-                    first = corner - cell * ((left + border) * right + (top + border) * down)
-                    steps = np.array([0 * right, right, right + down, down])
-                    outlines.append(first + cell * n * steps)
-    return outlines
+def _between_axes(turn_rad: float) -> float:
+    """Return the angle between two crosses of axes of which one is turned, rad, 0 to pi / 4."""
+    return abs((turn_rad + math.pi / 4) % (math.pi / 2) - math.pi / 4)
+
+
+def _complete_bits(rectangles_px: Array, bits: int, border: int) -> Array:
+    """Return the outlines (N, 4, 2) of markers whose white cells may span rectangles (R, 4, 2).
+
+    The bits are `bits` x `bits` inside a border. Up to two rows and columns of them may be black.
+    """
+    fewer = range(bits - 2, bits + 1)
+    spans = [
+        (columns, rows, left, top)
+        for columns in fewer
+        for rows in fewer
+        for left in range(bits - columns + 1)
+        for top in range(bits - rows + 1)
+    ]
+    columns, rows, left, top = np.array(spans, dtype=float).T
+    first, n = rectangles_px[:, None, 0], bits + 2 * border
+    across, along = rectangles_px[:, 1] - rectangles_px[:, 0], rectangles_px[:, 3] - rectangles_px[:, 0]
+    width, height = np.linalg.norm(across, axis=1)[:, None], np.linalg.norm(along, axis=1)[:, None]
+    right, down = (across / width)[:, None], (along / height)[:, None]
+    cells = (width / columns + height / rows) / 2
+    square = abs(width / columns - height / rows) <= 0.2 * cells
+    usable = square & (cells * n >= MIN_CANDIDATE_SIDE_PX)
+    corners = first - cells[..., None] * ((left + border)[:, None] * right + (top + border)[:, None] * down)
+    steps = np.stack([0 * right, right, right + down, down], axis=2)
+    outlines = corners[:, :, None] + n * cells[..., None, None] * steps
+    return np.asarray(outlines[usable])

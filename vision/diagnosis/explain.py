@@ -16,9 +16,9 @@ from skyherd.geometry import Array
 from skyherd.markers.dictionary import card_side, cells_per_side, code_distance
 from skyherd.messages import Detections
 from skyherd.vision.detectors.registry import create_detector
-from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches
+from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches, dark_shapes
 from skyherd.vision.diagnosis.places import first_of_each_place, lie_on_markers
-from skyherd.vision.diagnosis.quad_reading import Reading, read_grown, read_quad, show_all_bits
+from skyherd.vision.diagnosis.quad_reading import Reading, read_outlines, read_quads, show_all_bits
 from skyherd.vision.diagnosis.reasons import (
     CERTAIN,
     Measured,
@@ -164,19 +164,20 @@ def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detec
         fits = look.fits if beside is None else beside.joined(look.fits)
         tests = verification_tests(fits, noise, distance) if fits.ids.size else []
         known = lie_on_markers(look.candidates.corners_px, detections.centers_px, reaches_px)
-        for row in np.flatnonzero(~known).tolist():
+        rows = np.flatnonzero(~known)
+        readings = read_outlines(image, look.candidates.corners_px[rows], dictionary)
+        for row, reading in zip(rows.tolist(), readings, strict=True):
             failed = failed_test(tests, fits.ids.size - look.fits.ids.size + row)
-            reading = read_grown(image, look.candidates.corners_px[row], dictionary)
             good = bool(look.good[row])
             suspects.append(Suspect(reading, True, True, good, None if good else failed))
-        suspects += [
-            Suspect(read_grown(image, quad, dictionary), seen=True) for quad in unknown(look.quads_px)
-        ]
+        others = read_outlines(image, unknown(look.quads_px), dictionary)
+        suspects += [Suspect(reading, seen=True) for reading in others]
     size_px = np.array([image.shape[1], image.shape[0]])
     suspects = [s for s in suspects if s.good or _is_exact(s.reading) or not is_cut(s.reading, size_px)]
-    patches = [read_grown(image, quad, dictionary) for quad in unknown(dark_patches(image))]
-    guesses = unknown(np.concatenate([cut_squares(image, dictionary), bright_groups(image, dictionary)]))
-    unseen = _whole_or_sure(image, patches) + _sure_guesses(image, guesses, dictionary)
+    shapes = dark_shapes(image)
+    patches = read_outlines(image, unknown(dark_patches(shapes)), dictionary)
+    guesses = np.concatenate([cut_squares(shapes, size_px, dictionary), bright_groups(image, dictionary)])
+    unseen = _whole_or_sure(image, patches) + _sure_guesses(image, unknown(guesses), dictionary)
     return suspects + [Suspect(reading, seen=False) for reading in unseen]
 
 
@@ -192,7 +193,7 @@ def _whole_or_sure(image: Image, readings: list[Reading]) -> list[Reading]:
 def _sure_guesses(image: Image, quads_px: Array, dictionary: str) -> list[Reading]:
     """Return readings of the guessed squares (N, 4, 2) that read without a fault."""
     shown = show_all_bits(image, quads_px, dictionary, MIN_VISIBLE)
-    return [r for r in (read_quad(image, quad, dictionary) for quad in quads_px[shown]) if _is_sure(r)]
+    return [reading for reading in read_quads(image, quads_px[shown], dictionary) if _is_sure(reading)]
 
 
 def _failed_all_the_same(

@@ -7,27 +7,32 @@ pattern is known, blur and contrast follow from the bits themselves and need no 
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, BoolArray, IntArray
+from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.markers.dictionary import border_cells, cells_per_side
-from skyherd.vision.blurred_cells import MIN_DEVIATION, correlations, standardised
-from skyherd.vision.diagnosis.cell_samples import (
-    PER_CELL,
-    cell_extents_px,
-    image_from_cells,
-    sample_cells,
-    sample_middles,
-)
+from skyherd.vision.blurred_cells import MIN_DEVIATION
 from skyherd.vision.diagnosis.templates import (
     FIRST_BLUR_CELLS,
     Templates,
     blurred_levels,
     load_templates,
 )
-from skyherd.vision.grey import Image
+from skyherd.vision.grey import Image, sample_grey
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.row_record import RowRecord
+from skyherd.vision.search.decode import square_to_quads
+
+PER_CELL = 3
+"""Samples of a cell along each axis on which likeness is measured. Chosen odd, so that one lies in the
+middle."""
+
+FINE = 3
+"""Finer samples along each axis that are averaged into one of the above. Chosen: fewer are noisier where a
+cell has many pixels."""
 
 BLURS_CELLS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)
 """Standard deviations of the blur, in cells, that are tried. Chosen: from sharp to beyond legible."""
@@ -54,8 +59,9 @@ WHITE_PERCENTILE = 85
 """Percentile of the inner cells that is taken as white. Chosen: at least an eighth of a marker's bits are
 white, and the brightest few may be glare."""
 
-QUADS_AT_ONCE = 4096
-"""Number of quadrilaterals that are sampled at once. Chosen: bounds the memory."""
+QUADS_AT_ONCE, FINALISTS_AT_ONCE = 2048, 64
+"""Number of quadrilaterals whose middles are compared at once, and whose samples are under all blurs. Chosen:
+bounds the memory."""
 
 FIRST_MIDDLE = 128.0
 """Level between black and white if no inner cell is in the image: the middle of the 8-bit range."""
@@ -122,32 +128,37 @@ def _area(corners_px: Array) -> float:
     return float((u * np.roll(v, -1) - np.roll(u, -1) * v).sum() / 2)
 
 
-def read_quad(image: Image, corners_px: Array, dictionary: str) -> Reading:
-    """Return what a quadrilateral holds, read as a marker.
+def read_quads(image: Image, quads_px: Array, dictionary: str) -> list[Reading]:
+    """Return what quadrilaterals hold, each read as a marker.
 
     Args:
         image: grey, (height, width).
-        corners_px: (4, 2) corners, in order around it; they may lie outside the image.
-        dictionary: whose markers it is compared with.
+        quads_px: (N, 4, 2) corners, in order around each; they may lie outside the image.
+        dictionary: whose markers they are compared with.
 
     Raises:
         InputError: there is no such dictionary.
     """
-    return _read_sight(_look(image, corners_px, dictionary))
+    sights = _look(image, quads_px, dictionary)
+    return _readings(sights, _matches(image, sights, dictionary), dictionary)
 
 
-def read_grown(image: Image, corners_px: Array, dictionary: str) -> Reading:
-    """Return what a contour (4, 2) holds, moved outwards by up to `GROWTHS_PX`, most like a marker."""
-    sight = _look(image, corners_px, dictionary)
-    if sight.likeness < PROMISING:
-        return _read_sight(sight)
-    center = corners_px.mean(axis=0)
-    reach = float(np.linalg.norm(corners_px - center, axis=1).mean()) / np.sqrt(2)
-    grown = [center + (1 + growth / reach) * (corners_px - center) for growth in GROWTHS_PX]
-    sights = [sight, *(_look(image, corners, dictionary) for corners in grown)]
-    matches = [_nearest(sight) for sight in sights]
-    best = max(range(len(sights)), key=lambda k: matches[k].likeness)
-    return _read(sights[best], matches[best])
+def read_outlines(image: Image, quads_px: Array, dictionary: str) -> list[Reading]:
+    """Return what contours (N, 4, 2) hold, each moved outwards by up to `GROWTHS_PX`, most like a marker."""
+    sights = _look(image, quads_px, dictionary)
+    matches = _matches(image, sights, dictionary)
+    rows = np.flatnonzero(sights.likeness >= PROMISING)
+    quads_px = quads_px[rows]
+    middles_px = quads_px.mean(axis=1, keepdims=True)
+    reach_px = np.linalg.norm(quads_px - middles_px, axis=2).mean(axis=1) / np.sqrt(2)
+    for growth_px in GROWTHS_PX:
+        growths = (1 + growth_px / reach_px)[:, None, None]
+        grown = _look(image, middles_px + growths * (quads_px - middles_px), dictionary)
+        better = _matches(image, grown, dictionary)
+        is_better = better.likeness > matches.likeness[rows]
+        sights = sights.put(rows[is_better], grown.take(is_better))
+        matches = matches.put(rows[is_better], better.take(is_better))
+    return _readings(sights, matches, dictionary)
 
 
 def show_all_bits(image: Image, quads_px: Array, dictionary: str, min_visible: float) -> BoolArray:
@@ -164,23 +175,40 @@ def show_all_bits(image: Image, quads_px: Array, dictionary: str, min_visible: f
     Raises:
         InputError: there is no such dictionary.
     """
-    n, border = cells_per_side(dictionary), border_cells(dictionary)
-    white = load_templates(dictionary).white.reshape(-1, n * n)
-    signs = np.where(white, 1, -1).astype(np.float32)
-    is_inner = np.zeros((n, n), dtype=bool)
-    is_inner[border:-border, border:-border] = True
+    n = cells_per_side(dictionary)
+    signs = np.where(load_templates(dictionary).white, 1, -1).astype(np.float32).reshape(-1, n * n)
     shown = np.zeros(len(quads_px), dtype=bool)
     for first in range(0, len(quads_px), QUADS_AT_ONCE):
         part = slice(first, first + QUADS_AT_ONCE)
-        levels, seen = sample_middles(image, quads_px[part], n)
-        levels = np.where(seen, levels, np.nan)
-        black = _percentiles(levels[:, ~is_inner.ravel()], 50)
-        bright = _percentiles(levels[:, is_inner.ravel()], WHITE_PERCENTILE)
-        middle = np.where(np.isfinite(bright), (black + bright) / 2, FIRST_MIDDLE)
-        bits = np.where(seen, np.where(levels > middle[:, None], 1, -1), 0).astype(np.float32)
+        cells = _sample(image, quads_px[part], n, np.arange(0.5, n))
+        seen = np.isfinite(cells).reshape(len(cells), -1)
+        is_white = (cells > _levels_of_border(cells, dictionary)[1][:, None, None]).reshape(len(cells), -1)
+        bits = np.where(seen, np.where(is_white, 1, -1), 0).astype(np.float32)
         right = (bits @ signs.T).max(axis=1) == seen.sum(axis=1)
         shown[part] = right & (seen.mean(axis=1) >= min_visible)
     return shown
+
+
+def _sample(image: Image, quads_px: Array, n: int, at_cells: Array) -> Array:
+    """Return levels (N, K, K) of quadrilaterals (N, 4, 2) at K places along both axes; NaN off the image.
+
+    A level is the mean of a square as wide as a `PER_CELL` of a cell.
+
+    Args:
+        image: grey, (height, width).
+        quads_px: (N, 4, 2) corners of n x n cells.
+        n: cells along a side.
+        at_cells: (K,) places, in cells from the first corner on.
+    """
+    corners, (height, width) = to_complex(quads_px), image.shape
+    around = ((np.arange(FINE) + 0.5) / FINE - 0.5) / PER_CELL
+    fine, at = (at_cells[:, None] + around).ravel() / n, at_cells / n
+    grey = sample_grey(image, square_to_quads(corners, fine[None, :], fine[:, None]))
+    levels = grey.reshape(len(corners), at.size, FINE, at.size, FINE).mean(axis=(2, 4))
+    places = square_to_quads(corners, at[None, :], at[:, None])
+    inside = abs(places.real - (width - 1) / 2) < width / 2
+    inside &= abs(places.imag - (height - 1) / 2) < height / 2
+    return np.where(inside, levels, np.nan)
 
 
 def _percentiles(values: Array, percent: float) -> Array:
@@ -193,146 +221,193 @@ def _percentiles(values: Array, percent: float) -> Array:
     return np.asarray(low + (place - below) * (high - low))
 
 
+def _is_border(dictionary: str) -> BoolArray:
+    """Return which of the cells (n, n) are the markers' black border."""
+    n, border = cells_per_side(dictionary), border_cells(dictionary)
+    is_border = np.ones((n, n), dtype=bool)
+    is_border[border:-border, border:-border] = False
+    return is_border
+
+
+def _levels_of_border(cells: Array, dictionary: str) -> tuple[Array, Array]:
+    """Return the levels (N,) of the borders of cells (N, n, n), and those between black and white.
+
+    These lie half-way from the border to the brighter cells inside.
+    """
+    is_border = _is_border(dictionary)
+    black = _percentiles(cells[:, is_border], 50)
+    bright = _percentiles(cells[:, ~is_border], WHITE_PERCENTILE)
+    return black, np.where(np.isfinite(bright), (black + bright) / 2, FIRST_MIDDLE)
+
+
 @dataclass(frozen=True)
-class _Sight:
-    """A quadrilateral at the first look.
+class _Sights(RowRecord):
+    """N quadrilaterals at the first look.
 
     Attributes:
-        corners_px: (4, 2) its corners.
-        image_cells: (3, 3) homography from cell coordinates to pixels.
-        samples: levels (S, S) of cells and quiet zone, as of `sample_cells`.
-        templates: what it is compared with.
-        border: width of the markers' black border, in cells.
-        best: rows of the `FINALISTS`, the templates that its cells' middles are most like, ascending.
-        likeness: with the likest of them; 0 if too little of it is in the image.
+        corners_px: (N, 4, 2) their corners.
+        levels: (N, n + 2, n + 2) of the middles of cells and quiet zone; not a number off the image.
+        best: (N, F) rows of the `FINALISTS`, the templates that the cells' middles are most like, the likest
+            last.
+        likeness: (N,) with the likest of them; 0 if too little of it is in the image.
     """
 
     corners_px: Array
-    image_cells: Array
-    samples: Array
-    templates: Templates
-    border: int
+    levels: Array
     best: IntArray
-    likeness: float
-
-    @property
-    def levels(self) -> Array:
-        """Return levels (n + 2, n + 2) of the middles of cells and quiet zone."""
-        return self.samples[PER_CELL // 2 :: PER_CELL, PER_CELL // 2 :: PER_CELL]
-
-
-def _read_sight(sight: _Sight) -> Reading:
-    """Return what a quadrilateral holds; by all samples and blurs if it may be a marker."""
-    return _read(sight, _first_match(sight) if sight.likeness < PROMISING else _nearest(sight))
-
-
-def _look(image: Image, corners_px: Array, dictionary: str) -> _Sight:
-    """Sample a quadrilateral and compare its cells' middles with all templates."""
-    n, border = cells_per_side(dictionary), border_cells(dictionary)
-    image_cells = image_from_cells(corners_px, n)
-    samples = sample_cells(image, image_cells, n)
-    templates = load_templates(dictionary)
-    cells = samples[PER_CELL // 2 :: PER_CELL, PER_CELL // 2 :: PER_CELL][1:-1, 1:-1]
-    seen = np.isfinite(cells)
-    if seen.sum() < MIN_CELLS:
-        nothing = np.zeros(1, dtype=np.int64)
-        return _Sight(corners_px, image_cells, samples, templates, border, nothing, 0.0)
-    values = cells[seen]
-    if seen.all():
-        likeness = (standardised(values[None]) @ templates.standard.T / values.size)[0]
-    else:
-        likeness = correlations(templates.levels[:, seen], values[None])[0]
-    best = np.argsort(likeness)[-FINALISTS:]
-    return _Sight(corners_px, image_cells, samples, templates, border, best, float(likeness[best[-1]]))
-
-
-def _read(sight: _Sight, match: "Match") -> Reading:
-    """Return all that is measured of a quadrilateral that is most like a template."""
-    levels, templates = sight.levels, sight.templates
-    ring = levels[1:-1, 1:-1]
-    is_border = np.ones(ring.shape, dtype=bool)
-    is_border[sight.border : -sight.border, sight.border : -sight.border] = False
-    border, inner = ring[is_border], ring[~is_border]
-    quiet = np.array([_median(edge[1:-1]) for edge in (levels[0], levels[:, -1], levels[-1], levels[:, 0])])
-    nearest_id, mirrored = templates.row(match.row)
-    seen = np.isfinite(ring)
-    middle = _middle(border, inner)
-    return Reading(
-        corners_px=sight.corners_px,
-        cell_px=cell_extents_px(sight.image_cells, len(ring)),
-        black=match.black,
-        white=match.white,
-        depth=_median(quiet) - _median(border),
-        framed=bool((border[np.isfinite(border)] < middle).mean() >= FRAME_SHARE) if seen.all() else False,
-        quiet=quiet,
-        likeness=match.likeness,
-        nearest_id=nearest_id,
-        mirrored=mirrored,
-        wrong_cells=templates.wrong_cells(match.row, ring > middle, seen),
-        visible=float(seen.mean()),
-        blur_cells=match.blur_cells,
-    )
-
-
-def _middle(border: Array, inner: Array) -> float:
-    """Return level between black and white: half-way from the border to the brighter cells inside."""
-    bright = float(_percentiles(inner[None], WHITE_PERCENTILE)[0])
-    return (_median(border) + bright) / 2 if np.isfinite(bright) else FIRST_MIDDLE
-
-
-def _median(values: Array) -> float:
-    """Return the median of the finite values; not a number if no value is finite."""
-    finite = np.sort(values[np.isfinite(values)])  # np.median takes several times as long for so few
-    if not finite.size:
-        return float("nan")
-    return float(finite[(finite.size - 1) // 2] + finite[finite.size // 2]) / 2
+    likeness: Array
 
 
 @dataclass(frozen=True)
-class Match:
-    """The template that cells are most like.
+class _Matches(RowRecord):
+    """The templates that N quadrilaterals are most like.
 
     Attributes:
-        likeness: correlation with it.
-        row: of the template in `Templates`.
-        blur_cells: standard deviation of the blur, in cells.
-        black, white: grey levels that fit it best.
+        likeness: (N,) correlations with them.
+        rows: (N,) of the templates in `Templates`.
+        blurs_cells: (N,) standard deviations of the blur, in cells.
+        blacks, whites: (N,) grey levels that fit them best.
     """
 
-    likeness: float
-    row: int
-    blur_cells: float
-    black: float
-    white: float
+    likeness: Array
+    rows: IntArray
+    blurs_cells: Array
+    blacks: Array
+    whites: Array
 
 
-def _first_match(sight: _Sight) -> Match:
-    """Return the template that is most like the cells' middles under the first blur."""
-    cells, row = sight.levels[1:-1, 1:-1], int(sight.best[-1])
+def _look(image: Image, quads_px: Array, dictionary: str) -> _Sights:
+    """Return the middles of the cells of quadrilaterals (N, 4, 2), compared with all templates."""
+    n, templates = cells_per_side(dictionary), load_templates(dictionary)
+    finalists = min(FINALISTS, len(templates.white))
+    levels = np.empty((len(quads_px), n + 2, n + 2))
+    best, likeness = np.zeros((len(quads_px), finalists), dtype=np.int64), np.zeros(len(quads_px))
+    for first in range(0, len(quads_px), QUADS_AT_ONCE):
+        part = slice(first, first + QUADS_AT_ONCE)
+        levels[part] = _sample(image, quads_px[part], n, np.arange(-0.5, n + 1))
+        cells = levels[part, 1:-1, 1:-1].reshape(-1, n * n)
+        alike = _correlations(cells, templates.levels.reshape(-1, n * n))
+        alike[np.isfinite(cells).sum(axis=1) < MIN_CELLS] = 0.0
+        best[part] = _greatest(alike, finalists)
+        likeness[part] = np.take_along_axis(alike, best[part, -1:], axis=1)[:, 0]
+    return _Sights(quads_px, levels, best, likeness)
+
+
+def _greatest(values: npt.NDArray[np.float32], count: int) -> IntArray:
+    """Return the columns (N, count) of the greatest values of each row, the greatest last."""
+    columns = np.argpartition(values, -count, axis=1)[:, -count:]
+    order = np.argsort(np.take_along_axis(values, columns, axis=1), axis=1)
+    return np.take_along_axis(columns, order, axis=1)
+
+
+def _correlations(values: Array, patterns: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return the correlations (N, M) of values (N, K), where they are finite, with patterns.
+
+    Args:
+        values: (N, K); what is not a number is left out.
+        patterns: (M, K) for all rows, or (N, M, K) for each.
+    """
+    seen = np.isfinite(values)
+    weights = (seen / np.maximum(seen.sum(axis=1, keepdims=True), 1)).astype(np.float32)
+    known = np.where(seen, values, 0.0)
+    mean = (weights * known).sum(axis=1, keepdims=True)
+    centred = np.where(seen, known - mean, 0.0).astype(np.float32)
+    deviations = np.sqrt((weights * centred**2).sum(axis=1, keepdims=True))
+
+    def products(factors: npt.NDArray[np.float32], rows: npt.NDArray[np.float32]) -> Any:
+        return factors @ rows.T if rows.ndim == 2 else (rows @ factors[:, :, None])[:, :, 0]
+
+    covariances = products(weights * centred, patterns)
+    if seen.all() and patterns.ndim == 2:
+        pattern_deviations = patterns.std(axis=1)
+    else:
+        means = products(weights, patterns)
+        pattern_deviations = np.sqrt(np.maximum(products(weights, patterns**2) - means**2, 0.0))
+    divisors = np.maximum(deviations, MIN_DEVIATION) * np.maximum(pattern_deviations, MIN_DEVIATION)
+    return np.asarray(covariances / divisors, dtype=np.float32)
+
+
+def _matches(image: Image, sights: _Sights, dictionary: str) -> _Matches:
+    """Return the likest templates; by all samples and blurs for what may be a marker."""
+    n, templates = cells_per_side(dictionary), load_templates(dictionary)
+    first, cells = sights.best[:, -1], sights.levels[:, 1:-1, 1:-1].reshape(-1, n * n)
+    patterns = templates.levels.reshape(-1, n * n)[first]
+    matches = _fitted(sights.likeness, first, np.full(len(first), FIRST_BLUR_CELLS), patterns, cells)
+    promising = np.flatnonzero(sights.likeness >= PROMISING)
+    for begin in range(0, promising.size, FINALISTS_AT_ONCE):
+        rows = promising[begin : begin + FINALISTS_AT_ONCE]
+        matches = matches.put(rows, _nearest(image, sights.take(rows), templates, n))
+    return matches
+
+
+def _nearest(image: Image, sights: _Sights, templates: Templates, n: int) -> _Matches:
+    """Return the finalists that are most like what lies in the image, by all samples and blurs."""
+    count, finalists = sights.best.shape
+    samples = _sample(image, sights.corners_px, n, np.arange(0.5, n * PER_CELL) / PER_CELL)
+    values = samples.reshape(count, -1)
+    white = templates.white[sights.best.ravel()]
+    patterns = np.stack([blurred_levels(white, blur, PER_CELL) for blur in BLURS_CELLS])
+    patterns = patterns.reshape(len(BLURS_CELLS), count, finalists, -1).swapaxes(0, 1)
+    patterns = patterns.reshape(count, len(BLURS_CELLS) * finalists, -1)
+    alike = _correlations(values, patterns)
+    top, every = alike.argmax(axis=1), np.arange(count)
+    blurs, rows = np.array(BLURS_CELLS)[top // finalists], sights.best[every, top % finalists]
+    return _fitted(alike[every, top].astype(float), rows, blurs, patterns[every, top], values)
+
+
+def _fitted(
+    likeness: Array, rows: IntArray, blurs_cells: Array, patterns: npt.NDArray[np.float32], values: Array
+) -> _Matches:
+    """Return black and white by least squares: values (N, K) = black + (white - black) patterns."""
+    seen = np.isfinite(values)
+    count = np.maximum(seen.sum(axis=1), 1)
+
+    def moments(numbers: Array) -> tuple[Array, Array]:
+        """Return mean and standard deviation of the numbers of each row that are seen."""
+        mean = np.where(seen, numbers, 0.0).sum(axis=1) / count
+        squares = np.where(seen, (numbers - mean[:, None]) ** 2, 0.0).sum(axis=1) / count
+        return mean, np.sqrt(squares)
+
+    (mean, deviation), (darkness, spread) = moments(values), moments(patterns.astype(float))
+    gains = likeness * deviation / np.maximum(spread, MIN_DEVIATION)
+    blacks = mean - gains * darkness
+    return _Matches(likeness, rows, blurs_cells, blacks, blacks + gains)
+
+
+def _readings(sights: _Sights, matches: _Matches, dictionary: str) -> list[Reading]:
+    """Return all that is measured of quadrilaterals that are most like some templates."""
+    templates, levels, n = load_templates(dictionary), sights.levels, cells_per_side(dictionary)
+    cells = levels[:, 1:-1, 1:-1]
     seen = np.isfinite(cells)
-    if seen.sum() < MIN_CELLS:
-        return Match(likeness=0.0, row=0, blur_cells=FIRST_BLUR_CELLS, black=0.0, white=0.0)
-    return _fit(sight.likeness, row, FIRST_BLUR_CELLS, sight.templates.levels[row][seen], cells[seen])
-
-
-def _nearest(sight: _Sight) -> Match:
-    """Return the finalist that is most like what lies in the image, by all samples and blurs."""
-    samples, best = sight.samples[PER_CELL:-PER_CELL, PER_CELL:-PER_CELL], sight.best
-    seen = np.isfinite(samples)
-    patterns = _under_all_blurs(sight.templates.white[best])[:, seen]
-    likeness = correlations(patterns, samples[seen][None])[0]
-    top = int(likeness.argmax())
-    blur, row = BLURS_CELLS[top // len(best)], int(best[top % len(best)])
-    return _fit(float(likeness[top]), row, blur, patterns[top], samples[seen])
-
-
-def _under_all_blurs(white: BoolArray) -> npt.NDArray[np.float32]:
-    """Return levels (B M, S, S) of markers (M, n, n) under each of B blurs, blur by blur."""
-    return np.concatenate([blurred_levels(white, blur, PER_CELL) for blur in BLURS_CELLS])
-
-
-def _fit(likeness: float, row: int, blur: float, pattern: npt.NDArray[np.float32], values: Array) -> Match:
-    """Return black and white by least squares: values = black + (white - black) pattern."""
-    gain = likeness * float(values.std()) / max(float(pattern.std()), MIN_DEVIATION)
-    black = float(values.mean()) - gain * float(pattern.mean())
-    return Match(likeness=likeness, row=row, blur_cells=blur, black=black, white=black + gain)
+    border, middle = _levels_of_border(cells, dictionary)
+    is_white = cells > middle[:, None, None]
+    is_border = _is_border(dictionary)
+    framed = seen.all(axis=(1, 2)) & ((~is_white[:, is_border]).mean(axis=1) >= FRAME_SHARE)
+    sides = [levels[:, 0, 1:-1], levels[:, 1:-1, -1], levels[:, -1, 1:-1], levels[:, 1:-1, 0]]
+    quiet = _percentiles(np.concatenate(sides), 50).reshape(4, -1).T
+    depths = _percentiles(quiet, 50) - border
+    maps = LocalHomographies.of_quads(sights.corners_px)
+    larger, smaller = np.abs(maps.similarities), np.abs(maps.anisotropies)
+    extents_px = np.stack([np.abs(larger - smaller), larger + smaller], axis=1) / n
+    readings = []
+    for row in range(len(levels)):
+        nearest_id, mirrored = templates.row(int(matches.rows[row]))
+        wrong_cells = templates.wrong_cells(int(matches.rows[row]), is_white[row], seen[row])
+        readings.append(
+            Reading(
+                corners_px=sights.corners_px[row],
+                cell_px=extents_px[row],
+                black=float(matches.blacks[row]),
+                white=float(matches.whites[row]),
+                depth=float(depths[row]),
+                framed=bool(framed[row]),
+                quiet=quiet[row],
+                likeness=float(matches.likeness[row]),
+                nearest_id=nearest_id,
+                mirrored=mirrored,
+                wrong_cells=wrong_cells,
+                visible=float(seen[row].mean()),
+                blur_cells=float(matches.blurs_cells[row]),
+            )
+        )
+    return readings

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from skyherd.geometry import BoolArray, IntArray
 from skyherd.markers.dictionary import all_marker_cells
-from skyherd.vision.blurred_cells import blurred_darkness, standardised
+from skyherd.vision.blurred_cells import blurred_darkness
 
 FIRST_BLUR_CELLS = 0.3
 """Standard deviation of the blur, in cells, at the first look. Chosen: moderate, so that the nearest markers
@@ -25,7 +25,6 @@ class Templates:
     Attributes:
         white: (8 N, n, n) which cells are white.
         levels: (8 N, n, n) levels of the cells' middles under `FIRST_BLUR_CELLS`, 0 black, 1 white.
-        standard: (8 N, n n) the same, each template with mean 0 and standard deviation 1.
         count: number N of markers.
         unmirrored: (8 N,) for each row the row of the same cells that is not mirrored, or itself if the
             mirror image is no marker.
@@ -33,7 +32,6 @@ class Templates:
 
     white: BoolArray
     levels: npt.NDArray[np.float32]
-    standard: npt.NDArray[np.float32]
     count: int
     unmirrored: IntArray
 
@@ -67,4 +65,4 @@ def load_templates(dictionary: str) -> Templates:
     levels = blurred_levels(white, FIRST_BLUR_CELLS, 1)
     rows = {cell.tobytes(): row for row, cell in reversed(list(enumerate(white[: 4 * count])))}
     unmirrored = np.array([rows.get(cell.tobytes(), row) for row, cell in enumerate(white)])
-    return Templates(white, levels, standardised(levels.reshape(len(levels), -1)), count, unmirrored)
+    return Templates(white, levels, count, unmirrored)

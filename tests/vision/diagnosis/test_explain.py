@@ -14,7 +14,7 @@ from skyherd.messages import Quality
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.diagnosis.explain import Rejection, explain
-from skyherd.vision.diagnosis.quad_reading import read_quad
+from skyherd.vision.diagnosis.quad_reading import read_quads
 from skyherd.vision.diagnosis.reasons import (
     LEGIBLE_BLUR_CELLS,
     OF_QUANTITY,
@@ -270,7 +270,8 @@ def test_each_test_of_a_fit_is_named_with_its_value_and_limit(draw, quantity) ->
     assert [failed_test(tests, row) for row in (1, 2, 3)] == [None] * 3
     named, measured = failed_test(tests, 0)
     assert named is quantity
-    reading = read_quad(image, to_points(fits.homographies.images(SQUARE_CORNERS))[1], DICTIONARY)
+    corners_px = to_points(fits.homographies.images(SQUARE_CORNERS))
+    (reading,) = read_quads(image, corners_px[[1]], DICTIONARY)
     suspect = Suspect(reading, seen=True, fitted=True, failed=(named, measured))
     reason, told = find_reason(suspect, again=False)
     assert reason is OF_QUANTITY[quantity] and told is measured
@@ -387,7 +388,7 @@ def test_a_drawn_marker_is_read_with_its_levels_and_blur() -> None:
     cells = np.pad(np.where(marker_cells(DICTIONARY, 17), 200, 40), 2, constant_values=200).astype(np.uint8)
     image = cv2.GaussianBlur(np.kron(cells, np.ones((20, 20), np.uint8)), (0, 0), 8.0)
     corners = np.array([[40, 40], [160, 40], [160, 160], [40, 160]]) - 0.5
-    reading = read_quad(image, corners, DICTIONARY)
+    (reading,) = read_quads(image, corners[None], DICTIONARY)
     assert reading.nearest_id == 17 and reading.wrong_bits <= 1 and reading.likeness > 0.999
     assert (reading.black, reading.white) == (pytest.approx(40, abs=3), pytest.approx(200, abs=3))
     assert reading.blur_cells == pytest.approx(0.4) and reading.cell_px.tolist() == pytest.approx([20, 20])

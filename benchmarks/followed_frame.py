@@ -26,9 +26,12 @@ from skyherd.vision.photometric import detector as stages
 COMPILED = ("follow_markers", "fit_markers", "streak_evidence", "second_differences")
 """Functions of the compiled library that a followed frame calls."""
 
+SEARCHES = ("find_quads", "find_small_quads", "find_faint_quads", "find_crossed_quads")
+"""Searches for squares in a searched frame."""
+
 STAGES: Stages = {
     "compiled": [(Library, name) for name in COMPILED],
-    "looks": [(stages, name) for name in ("find_quads", "find_small_quads", "find_faint_quads")],
+    "looks": [(stages, name) for name in SEARCHES],
     "search": [(PhotometricDetector, "_search")],
 }
 """Stages that are timed separately: both parts, and the search, which a followed frame lacks."""

@@ -28,7 +28,9 @@ there."""
 
 STAGES: Stages = {
     "first search": [(stages, "find_quads")],
-    "second search": [(stages, "find_small_quads"), (stages, "find_faint_quads")],
+    "second search": [
+        (stages, name) for name in ("find_small_quads", "find_faint_quads", "find_crossed_quads")
+    ],
     "fits": [(Library, "fit_markers")],
 }
 """Stages that are timed separately."""

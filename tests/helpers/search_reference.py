@@ -7,7 +7,7 @@ import numpy as np
 
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_points
 from skyherd.vision.grey import Image, block_means
-from skyherd.vision.search.faint import stretched_contrast
+from skyherd.vision.search.faint import stretched_contrasts
 from skyherd.vision.search.quads import (
     ERODED_PX,
     GROWTH_PX,
@@ -102,10 +102,15 @@ def _mean(image: Image, width: int) -> Image:
     return np.asarray(cv2.blur(image, (width, width)), dtype=np.uint8)
 
 
-def find_quads(image: Image, known_px: Array | None = None, min_darkness: float = 0.0) -> Array:
+def find_quads(
+    image: Image,
+    known_px: Array | None = None,
+    min_darkness: float = 0.0,
+    shrinks: tuple[int, ...] = SHRINKS,
+) -> Array:
     """Return the quadrilaterals of `skyherd.vision.search.quads.find_quads`."""
     found = []
-    for shrink in SHRINKS:
+    for shrink in shrinks:
         small = image if shrink == 1 else block_means(image, shrink)
         middle = (shrink - 1) / 2
         known = None if known_px is None else (known_px - middle) / shrink
@@ -131,9 +136,10 @@ def small_quads(mosaic: Mosaic) -> Array:
     return (np.concatenate(found) + 0.5) / ENLARGEMENT - 0.5
 
 
-def find_faint_quads(image: Image, known_px: Array) -> Array:
+def find_faint_quads(image: Image, known_px: Array, noise: float) -> Array:
     """Return the quadrilaterals of `skyherd.vision.search.faint.find_faint_quads`."""
-    return find_quads(stretched_contrast(image), known_px)
+    fine, coarse = stretched_contrasts(image, noise)
+    return np.concatenate([find_quads(fine, known_px, shrinks=(1,)), find_quads(coarse, known_px)])
 
 
 def _quads_of(boundaries: Boundaries, growth_px: float, *, min_area_px2: float = MIN_AREA_PX2) -> Array:

@@ -97,6 +97,30 @@ class Library:
         found = check(self.functions.search_quads(*arguments, *results), ERRORS)
         return corners[:found].copy(), columns[:found].astype(np.int64)
 
+    def stretched(self, image: Image, gains: Floats, shifts: Floats, block_px: int) -> Image:
+        """Return gains times grey levels plus shifts, rounded and within 0 to 255.
+
+        Args:
+            image: grey, (height, width).
+            gains: (rows, columns) of blocks of pixels, bilinear between the blocks' centres.
+            shifts: (rows, columns) grey levels, likewise.
+            block_px: side of a block, px.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is empty.
+        """
+        check_plane("image", image, None)
+        factors = (
+            address(name, of_blocks, np.float32, gains.shape)
+            for name, of_blocks in (("gains", gains), ("shifts", shifts))
+        )
+        (height, width), (rows, columns) = image.shape, gains.shape
+        memory, made = np.empty((4, width), dtype=np.float32), np.empty_like(image)
+        size = columns, rows, block_px
+        results = memory.ctypes.data, made.ctypes.data
+        check(self.functions.stretch(image.ctypes.data, width, height, *factors, *size, *results), ERRORS)
+        return made
+
     def list_pixels(self, markers: npt.NDArray[np.void], shape: tuple[int, int]) -> MarkerRows:
         """Return the pixels of N markers (`MARKER`) in an image of a shape, with columns not filled in.
 
@@ -395,6 +419,7 @@ def declared(functions: ctypes.CDLL) -> Library:
         "search_workspace_bytes": (size, integer, integer),
         "search_mask": (integer, *search, pointer),
         "search_quads": (integer, *search, pointer, pointer, integer),
+        "stretch": (integer, pointer, integer, integer, pointer, pointer, *(integer,) * 3, pointer, pointer),
         "count_pixels": (long, pointer, long, long, long),
         "list_pixels": (long, pointer, long, long, long, pointer, pointer, pointer, long),
         "fill_round": (integer, scene, rows),

@@ -127,15 +127,13 @@ int threshold(const uint8_t *image, int32_t width, int32_t height, const SearchP
     return 0;
 }
 
-/* Clear the pixels outside of the places, a plane of half the size. */
-void keep_places(Mask *mask, const uint8_t *places) {
+/* Clear the pixels outside of the places, a plane of half the size. scratch (width,) is for work. */
+void keep_places(Mask *mask, const uint8_t *places, uint8_t *restrict scratch) {
     for (int32_t y = 0; y < mask->height; y++) {
         const uint8_t *restrict place = places + (ptrdiff_t)(y / 2) * (mask->width / 2);
         uint8_t *restrict row = mask_row(mask, y);
-        for (int32_t x = 0; x < mask->width / 2; x++) {
-            row[2 * x] &= place[x];
-            row[2 * x + 1] &= place[x];
-        }
+        for (int32_t x = 0; x < mask->width / 2 && y % 2 == 0; x++) scratch[2 * x] = scratch[2 * x + 1] = place[x];
+        for (int32_t x = 0; x < mask->width; x++) row[x] &= scratch[x];
     }
 }
 

@@ -79,7 +79,7 @@ static int prepare(const uint8_t *image, const uint8_t *places, int32_t width, i
     clear_border(&work->dark);
     clear_border(&work->eroded);
     const int failed = threshold(image, width, height, parameters, work);
-    if (!failed) keep_places(&work->dark, places);
+    if (!failed) keep_places(&work->dark, places, (uint8_t *)work->column_sums);
     return failed;
 }
 

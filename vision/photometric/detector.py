@@ -6,7 +6,8 @@ Each image passes through these stages. Stages return values; the detector alone
    of them are found as usual, one compiled call has done this, verified them and learned the next state.
 2. *Search* (`skyherd.vision.search`, `candidates`): the image is searched for dark quadrilaterals whose cells
    resemble a marker, in every fifth image, and at once when a followed marker is missing or none is known.
-   A fallback search looks again, at twice the size and with stretched contrast, where none was found.
+   A fallback search looks again where none was found: at twice the size, with stretched contrast, and
+   without lines that cross outlines.
 3. *Measure* (`measure`): the pattern of each candidate is fitted to the image's own pixels (`fitting.fit`,
    `refine`) and verified by its residuals (`verify`). A candidate that no fit explains is decided by its
    likelihood (`likelihood`) and measured by a robust fit or its edges.
@@ -39,6 +40,7 @@ from skyherd.vision.photometric.measure import measure_candidates
 from skyherd.vision.photometric.refine import with_usual_blur
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.photometric.verify import verified
+from skyherd.vision.search.crossed import find_crossed_quads
 from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads
 from skyherd.vision.search.faint import find_faint_quads
 from skyherd.vision.search.quads import find_quads, find_small_quads
@@ -194,11 +196,14 @@ class PhotometricDetector:
         found = first.found
         known = followed.joined(found.homographies)
         known_px = to_points(known.images(SQUARE_CORNERS))
-        quads = np.concatenate([find_small_quads(image, known_px), find_faint_quads(image, known_px)])
+        noise = image_noise(image)
+        faint = find_faint_quads(image, known_px, noise)
+        crossed = find_crossed_quads(image, known_px)
+        quads = np.concatenate([find_small_quads(image, known_px), faint, crossed])
         second = self._measured(image, replace(state, plane=first.plane), quads, known, CLEAR_CORRELATION)
         if not (first.good.any() and second.good.any()):
             return first, second
-        alike = verified(found.joined(second.found), image_noise(image), code_distance(self.dictionary))
+        alike = verified(found.joined(second.found), noise, code_distance(self.dictionary))
         good = second.good.copy()
         good[good] = alike[found.ids.size :] | (second.found.qualities < Quality.PHOTOMETRIC)
         return first, replace(second, good=good, plane=first.plane)

@@ -78,7 +78,12 @@ MAX_AREA_MISMATCH = 0.3
 through points of other outlines differ more."""
 
 
-def find_quads(image: Image, known_px: Array | None = None, min_darkness: float = 0.0) -> Array:
+def find_quads(
+    image: Image,
+    known_px: Array | None = None,
+    min_darkness: float = 0.0,
+    shrinks: tuple[int, ...] = SHRINKS,
+) -> Array:
     """Return the corners (N, 4, 2), px, of the dark quadrilaterals in a grey image (height, width).
 
     The corners run clockwise in the image and begin with any of the four. A quadrilateral may be found
@@ -93,16 +98,17 @@ def find_quads(image: Image, known_px: Array | None = None, min_darkness: float 
             those of 10 px.
         min_darkness: as in `crowded_places`. Measured under typical blur, as a share of the contrast: at
             least 0.075 for squares of 9 px or more, and 0.05 for squares of 8 px.
+        shrinks: downsampling factors of the images that are searched.
     """
     found = [np.zeros((0, 4, 2))]
-    for shrink in SHRINKS:
+    for shrink in shrinks:
         small = image if shrink == 1 else block_means(image, shrink)
         middle = (shrink - 1) / 2
         known = None if known_px is None else (known_px - middle) / shrink
         mosaic = crowded_places(small, known, min_darkness)
         if mosaic is not None:
             erosions = range(2) if shrink == 1 else range(1, 2)
-            found.append(shrink * _quads_in(mosaic, erosions) + middle)
+            found.append(shrink * quads_of_places(mosaic, erosions) + middle)
     return np.concatenate(found)
 
 
@@ -126,10 +132,12 @@ def small_quads(mosaic: Mosaic) -> Array:
     Relative to the enlarged image, the smoothing filters are half as wide. Cells of 1.5 px stay separate from
     the surroundings, and narrow quadrilaterals stay whole.
     """
-    return (_quads_in(mosaic.enlarged(), range(MAX_EROSIONS + 1), ENLARGEMENT) + 0.5) / ENLARGEMENT - 0.5
+    return (
+        quads_of_places(mosaic.enlarged(), range(MAX_EROSIONS + 1), ENLARGEMENT) + 0.5
+    ) / ENLARGEMENT - 0.5
 
 
-def _quads_in(mosaic: Mosaic, erosions: range, enlargement: int = 1) -> Array:
+def quads_of_places(mosaic: Mosaic, erosions: range, enlargement: int = 1) -> Array:
     """Return the corners (N, 4, 2) of the quadrilaterals in a mosaic after each number of erosions."""
     parameters = search_parameters(erosions, enlargement)
     corners, columns = library().quads(np.ascontiguousarray(mosaic.image), mosaic.mask, parameters)

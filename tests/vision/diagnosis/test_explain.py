@@ -291,7 +291,7 @@ def test_symmetric_markers_are_never_called_mirrored(draw) -> None:
     own = [8, 9, 17, 47]
     for turn in (1, -1):
         assert likely(np.ascontiguousarray(draw(ids=own)[:, ::turn])) == []
-        faint = draw(ids=own, black=112.0, white=123.0, noise=1.0)
+        faint = draw(ids=own, black=113.0, white=123.0, noise=1.0)
         check(likely(np.ascontiguousarray(faint[:, ::turn])), Reason.LOW_CONTRAST, own)
     mixed = likely(np.ascontiguousarray(draw(ids=[8, 9, 3, 7])[:, ::-1]))
     assert {(r.reason, r.reading.nearest_id) for r in mixed} == {(Reason.MIRRORED, 3), (Reason.MIRRORED, 7)}

@@ -11,6 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from skyherd.errors import InputError
 from skyherd.vision.native.library import declared, library
+from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.search.faint import find_faint_quads
 from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX, SHRINKS, find_quads, search_parameters, small_quads
 from skyherd.vision.search.regions import ENLARGEMENT, Mosaic, crowded_places
@@ -106,7 +107,8 @@ def test_small_quads_equal_reference(name):
 @pytest.mark.parametrize("name", IMAGES)
 def test_faint_quads_equal_reference(name):
     image, known = image_of(name), np.zeros((0, 4, 2))
-    assert_same_quads(find_faint_quads(image, known), reference.find_faint_quads(image, known))
+    found = find_faint_quads(image, known, image_noise(image))
+    assert_same_quads(found, reference.find_faint_quads(image, known, image_noise(image)))
 
 
 def test_images_of_markers_have_many_quads():
@@ -132,6 +134,22 @@ def test_masks_of_small_images_equal_opencv():
             places = whole(rng.integers(0, 256, (height, width), dtype=np.uint8))
             found = library().dark_mask(places.image, places.mask, PLAIN)
             assert np.array_equal(found, reference.dark_regions(places).dark), (width, height)
+
+
+@pytest.mark.parametrize("size", [(90, 61), (64, 48), (5, 4), (4, 39)])
+def test_stretched_image_equals_opencv(size):
+    """Gains and shifts enlarged by OpenCV, which has no incomplete blocks; all builds give equal bytes."""
+    rng = np.random.default_rng([10, *size])
+    image, blocks = rng.integers(0, 256, size, dtype=np.uint8), (size[0] // 4, size[1] // 4)
+    gains, shifts = rng.uniform(0, 9, blocks), rng.uniform(-400, 200, blocks)
+    gains, shifts = gains.astype(np.float32), shifts.astype(np.float32)
+    made = [other.stretched(image, gains, shifts, 4) for other in builds("vision", declared).values()]
+    assert len({one.tobytes() for one in made}) == 1
+    height, width = 4 * blocks[0], 4 * blocks[1]
+    gain, shift = (cv2.resize(of_blocks, (width, height)).astype(float) for of_blocks in (gains, shifts))
+    expected = np.clip(gain * image[:height, :width] + shift, 0, 255)
+    assert np.abs(made[0][:height, :width] - expected).max() < 0.501
+    assert min(size) < 10 or np.isin(made[0], [0, 255], invert=True).mean() > 0.1
 
 
 @pytest.mark.parametrize("name", IMAGES)
@@ -162,6 +180,22 @@ def test_builds_give_equal_bytes(name):
 def test_invalid_arrays_are_rejected(image, places):
     with pytest.raises(InputError):
         library().quads(image, places, PLAIN)
+
+
+@pytest.mark.parametrize(
+    ("gains", "shifts", "block_px"),
+    [
+        (np.zeros((2, 2)), np.zeros((2, 2)), 4),
+        (np.zeros((2, 2), np.float32), np.zeros((2, 1), np.float32), 4),
+        (np.zeros((3, 2), np.float32), np.zeros((3, 2), np.float32), 4),
+        (np.zeros((2, 2), np.float32), np.zeros((2, 2), np.float32), 3),
+        (np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32), 4),
+    ],
+    ids=["double", "other shape", "beyond the image", "odd block", "none"],
+)
+def test_invalid_blocks_are_rejected(gains, shifts, block_px):
+    with pytest.raises(InputError):
+        library().stretched(np.zeros((8, 8), np.uint8), gains, shifts, block_px)
 
 
 def test_window_that_is_not_compiled_is_rejected():

@@ -5,7 +5,12 @@ import numpy as np
 import pytest
 
 from skyherd.vision.search.edges import fit_edges
-from skyherd.vision.search.faint import find_faint_quads
+from skyherd.vision.search.faint import (
+    COARSE_SPREAD,
+    FINE_SPREAD,
+    find_faint_quads,
+    stretched_contrasts,
+)
 from skyherd.vision.search.quads import find_quads
 
 QUAD = np.array([[30.3, 28.1], [92.7, 35.4], [88.2, 97.9], [25.6, 90.2]])
@@ -54,11 +59,33 @@ def test_no_quadrilateral_gives_no_corners() -> None:
     assert fit_edges(noisy(drawn(QUAD), 3), np.zeros((0, 4, 2)), 6).corners_px.shape == (0, 4, 2)
 
 
-def test_square_of_nine_grey_levels_is_found_when_stretched() -> None:
+@pytest.mark.parametrize(("contrast", "noise"), [(4.5, 0.5), (9.0, 1.0), (9.0, 2.0)])
+def test_faint_square_is_found_when_stretched(contrast, noise) -> None:
     """The search itself, the negative control, misses it."""
-    image = noisy(drawn(QUAD, black=100.0, white=109.0), 4, 1.0)
+    image = noisy(drawn(QUAD, black=100.0, white=100.0 + contrast), 4, noise)
 
     def finds(quads: np.ndarray) -> bool:
         return bool((np.abs(quads.mean(axis=1) - QUAD.mean(axis=0)).max(axis=1) < 2).any())
 
-    assert finds(find_faint_quads(image, np.zeros((0, 4, 2)))) and not finds(find_quads(image))
+    assert finds(find_faint_quads(image, np.zeros((0, 4, 2)), noise)) and not finds(find_quads(image))
+
+
+def test_faint_images_are_stretched_to_one_contrast() -> None:
+    """Of 2.5 to 4.5 grey levels, eight times the noise and more; of 40 the fine image is flat."""
+    stretched = []
+    for contrast in (2.5, 3.5, 4.5):
+        levels = contrast / 40 * texture()
+        rounded = np.rint(120 + levels + np.random.default_rng(6).uniform(-0.5, 0.5, levels.shape))
+        stretched.append(stretched_contrasts(rounded.astype(np.uint8), 0.3))
+    for images, spread in zip(zip(*stretched, strict=True), (FINE_SPREAD, COARSE_SPREAD), strict=True):
+        for one in images:
+            assert one.std() == pytest.approx(spread, rel=0.15)
+            assert np.corrcoef(one.ravel(), images[-1].ravel())[0, 1] > 0.9
+    fine, coarse = stretched_contrasts(np.rint(120 + texture()).astype(np.uint8), 0.3)
+    assert np.unique(fine).tolist() == [128] and np.isin(coarse, [0, 255]).mean() > 0.3
+
+
+def texture() -> np.ndarray:
+    """Smooth noise of 128 x 128 px with a standard deviation of 40 grey levels, within 120 of zero."""
+    noise = cv2.GaussianBlur(np.random.default_rng(7).normal(size=(128, 128)), (0, 0), 4.0)
+    return np.clip(40 * noise / noise.std(), -119, 119)

@@ -36,6 +36,12 @@ def near(quads: np.ndarray, middles: np.ndarray) -> np.ndarray:
     return (off < 1.0).any(axis=0) if len(quads) else np.zeros(len(middles), dtype=bool)
 
 
+def leave_out_fallback(patch):
+    """Let all parts of the fallback search find nothing."""
+    for part in ("find_small_quads", "find_faint_quads", "find_crossed_quads"):
+        patch.setattr(stages, part, lambda *_: np.zeros((0, 4, 2)))
+
+
 def test_fallback_search_finds_cells_of_one_and_a_half_pixels(monkeypatch):
     image, middles = sheet()
     assert near(find_small_quads(image, np.zeros((0, 4, 2))), middles).all()
@@ -43,8 +49,7 @@ def test_fallback_search_finds_cells_of_one_and_a_half_pixels(monkeypatch):
     seen = detector.detect(image)
     assert seen.ids.tolist() == list(range(25))
     np.testing.assert_allclose(seen.centers_px, middles, atol=0.1)
-    nothing = np.zeros((0, 4, 2))
-    monkeypatch.setattr(stages, "find_small_quads", lambda *_: nothing)
+    leave_out_fallback(monkeypatch)
     assert len(detector.detect(image)) < 20, "without the fallback search"
 
 
@@ -73,8 +78,7 @@ def test_every_marker_that_opencv_finds_is_found(cell, needs_fallback):
         seen = create_detector().detect(frame.image)
         assert set(theirs.ids) <= set(seen.ids)
         with pytest.MonkeyPatch.context() as patch:
-            for fallback in ("find_small_quads", "find_faint_quads"):
-                patch.setattr(stages, fallback, lambda *_: np.zeros((0, 4, 2)))
+            leave_out_fallback(patch)
             first_alone += len(set(theirs.ids) - set(create_detector().detect(frame.image).ids))
     assert (first_alone > 0) == needs_fallback
 
@@ -120,7 +124,7 @@ def test_fallback_search_runs_every_tenth_search_if_all_followed(monkeypatch):
 def test_marker_of_fallback_search_is_found_within_50_images(monkeypatch):
     image, middles = sheet()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stages, "find_small_quads", lambda *_: np.zeros((0, 4, 2)))
+        leave_out_fallback(patch)
         seen = create_detector(dictionary=DICTIONARY).detect(image).ids.tolist()
     late = next(number for number in range(25) if number not in seen)
     counted = Counted(monkeypatch)

@@ -115,8 +115,9 @@ def fuzz_fit(library, rng, images=150):
 
 def fuzz_marker_fit(library, rng, image, cells, count):
     """Fit markers from random places in an image; return the number of pixels of those that are finite."""
-    from skyherd.vision.native.records import APPEARANCE, HOMOGRAPHY, PLANE, FitRequest
+    from skyherd.vision.native.records import APPEARANCE, HOMOGRAPHY, PLANE, FitRequest, VisibleRequest
     from skyherd.vision.photometric.fitting.fit import fit_constants
+    from skyherd.vision.photometric.fitting.occlusion import visible_constants
 
     if not count:
         return 0
@@ -133,6 +134,13 @@ def fuzz_marker_fit(library, rng, image, cells, count):
     fits, _ = library.fit_markers(FitRequest(*given), plane)
     if streak is not None:
         library.streak_evidence(FitRequest(*given))
+    levels = (scale * rng.normal(size=count) for scale in (50.0, 100.0, 2.0))
+    blacks, contrasts, sigmas_px = (
+        each if rng.random() < 0.9 else each * rng.choice([0.0, 1e300, np.inf, np.nan]) for each in levels
+    )
+    border = int(rng.integers(0, 4))
+    visible = VisibleRequest(FitRequest(*given), visible_constants(), blacks, contrasts, sigmas_px, border)
+    library.fit_visible(visible, plane)
     fuzz_following(library, rng, image, cells, start)
     return int(np.nan_to_num(fits["pixels"]).sum())
 

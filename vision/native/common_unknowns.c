@@ -208,24 +208,32 @@ static void draw_near_plane(Tests *tests, const Plane *plane, Solutions *solutio
     draw_keystones(tests, solutions, tests->numbers);
 }
 
-/* Hold anisotropies and keystones at those of the plane that the inliers lie on, or draw keystones where none explains
- * them. `plane` is that of the step before, and then the one found. */
-static int32_t hold_on_plane(Tests *tests, int settling, Plane *plane, Solutions *solutions) {
+/* Find the plane that the inliers lie on, from their anisotropies under the keystones of the one before. */
+static int32_t find_plane(Tests *tests, int settling, Plane *plane, const Solutions *solutions) {
     for (int64_t k = 0; k < solutions->count; k++)
         tests->perspectives[k] = plane->shared ? perspective_at(plane, tests->points[k]) : complex_of(0);
     copy_solutions(solutions, &tests->trial);
     hold_keystones(tests, &tests->trial);
     observe_anisotropies(tests, &tests->trial);
-    const int32_t result = fit_plane(&tests->constants->plane, tests->points, tests->anisotropies, tests->variances,
-                                     solutions->count, settling, plane);
-    if (result) return result;
-    if (!plane->shared) {
-        draw_near_plane(tests, plane, solutions);
-        return 0;
-    }
-    for (int64_t k = 0; k < solutions->count; k++) tests->perspectives[k] = perspective_at(plane, tests->points[k]);
+    return fit_plane(&tests->constants->plane, tests->points, tests->anisotropies, tests->variances, solutions->count,
+                     settling, plane);
+}
+
+/* Hold keystones at those of a plane, and anisotropies too if all markers share it. */
+static void hold_at_plane(Tests *tests, const Plane *plane, Solutions *solutions) {
+    for (int64_t k = 0; k < solutions->count; k++)
+        tests->perspectives[k] = plane->shared ? perspective_at(plane, tests->points[k]) : complex_of(0);
     hold_keystones(tests, solutions);
-    hold_anisotropies(tests, plane, solutions);
+    if (plane->shared) hold_anisotropies(tests, plane, solutions);
+}
+
+/* Hold anisotropies and keystones at those of the plane that the inliers lie on, or draw keystones where none explains
+ * them. `plane` is that of the step before, and then the one found. */
+static int32_t hold_on_plane(Tests *tests, int settling, Plane *plane, Solutions *solutions) {
+    const int32_t result = find_plane(tests, settling, plane, solutions);
+    if (result) return result;
+    if (plane->shared) hold_at_plane(tests, plane, solutions);
+    else draw_near_plane(tests, plane, solutions);
     return 0;
 }
 
@@ -249,6 +257,23 @@ int32_t hold_common_unknowns(const FitRequest *given, const Homography *start, c
             result = hold_on_plane(&tests, settling, plane, held);
         }
     }
+    release_tests(&tests);
+    return result;
+}
+
+/* Do so for markers that are covered in part, all of which decide: light may change, and without a plane that all of them
+ * share keystones are held at zero. */
+int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free, Plane *plane,
+                              Solutions *held) {
+    Tests tests;
+    int32_t result = allocate_tests(&tests, given, start);
+    if (!result) {
+        copy_solutions(free, held);
+        for (int64_t k = 0; k < given->count; k++) tests.inliers[k] = 1;
+        hold_common_tone(&tests, held);
+        result = find_plane(&tests, 0, plane, held);
+    }
+    if (!result) hold_at_plane(&tests, plane, held);
     release_tests(&tests);
     return result;
 }

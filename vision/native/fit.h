@@ -7,7 +7,8 @@
  *   3. sums.c            products of the columns; residuals, and their sums over cells and over boxes
  *   4. least_squares.c   the solution, with unknowns free, held or expected
  *   5. common_unknowns.c what all markers share: even light, the tone curve, the plane (plane_fit.c)
- * marker_pixels.c does steps 1 to 4 for one marker, and streak.c asks settled markers for a streak of motion. homography.h
+ * marker_pixels.c does steps 1 to 4 for one marker. visible_fit.c fits those pixels of markers that agree, where something
+ * covers the others. streak.c asks settled markers for a streak of motion. homography.h
  * has the geometry of a marker. image_noise.c reads the noise of an image from the image alone.
  *
  * The formulas are those of vision/photometric/fitting/design_matrix.py. Pixels are in the order of the markers, line by
@@ -115,6 +116,20 @@ typedef struct {
     int32_t max_steps, alone, has_streak;
 } FitRequest;
 
+/* Constants of the fit to visible pixels; fitting/occlusion.py says why. */
+typedef struct {
+    double inlier_sigmas, pixel_share, limit_factor, margin_sigmas, cover_share, min_visible_share, min_clear_share;
+    int32_t final_rounds, min_cover_px;
+} VisibleConstants;
+
+/* Markers of which a part may be covered. */
+typedef struct {
+    const FitRequest *markers;      /* where the fit begins, with the black ratios of a fit to all pixels */
+    const VisibleConstants *constants;
+    const double *blacks, *contrasts, *sigmas_px;       /* (count,) levels of that fit, grey levels; blur, px */
+    int64_t border;                 /* width of the border, cells */
+} VisibleRequest;
+
 /* Result of the fit of a marker (fitting/fit_result.py). */
 typedef struct {
     Homography homography;
@@ -163,10 +178,13 @@ int32_t hold_unknowns(double *values, double *inverse_normals, double *squares, 
                       int32_t last, const double *at, const double *variances);
 int32_t hold_common_unknowns(const FitRequest *given, const Homography *start, const uint8_t *right, int settling,
                              const Solutions *free, Plane *plane, Solutions *held);
+int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free, Plane *plane,
+                              Solutions *held);
 int32_t fit_plane(const PlaneLimits *limits, const Complex *points, const Complex *anisotropies, const double *variances,
                   int64_t count, int32_t most, Plane *plane);
 int is_request_valid(const FitRequest *given);
 int32_t streak_evidence(const FitRequest *given, double *informations, double *scores);
 int32_t fit_markers(const FitRequest *given, Plane *plane, Fit *fits, double *cell_means);
+int32_t fit_visible(const VisibleRequest *given, Plane *plane, Fit *fits, double *cell_means);
 
 #endif

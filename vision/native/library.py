@@ -2,6 +2,7 @@
 
 import ctypes
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -27,6 +28,7 @@ from skyherd.vision.native.records import (
     Rows,
     Scene,
     SearchParameters,
+    VisibleRequest,
     scene_structure,
 )
 
@@ -332,12 +334,25 @@ class Library:
         Raises:
             InputError: an argument has another type, shape or memory layout, or is out of range.
         """
-        count, n_cells = len(request.start), request.cells.shape[1] - 2
-        fits, means = np.empty(count, dtype=FIT), np.empty((count, n_cells, n_cells))
-        given, known = request.structure(), address("plane", plane, PLANE, (1,))
-        results = fits.ctypes.data, means.ctypes.data
-        check(self.functions.fit_markers(ctypes.byref(given), known, *results), ERRORS)
-        return fits, means
+        return self._fit(self.functions.fit_markers, request.structure(), request, plane)
+
+    def fit_visible(
+        self, request: VisibleRequest, plane: npt.NDArray[np.void]
+    ) -> tuple[npt.NDArray[np.void], Array]:
+        """Fit markers to their visible pixels (`fitting.occlusion`).
+
+        Args:
+            request: the markers, N of them, at least one.
+            plane: (1,) of `PLANE`, the one that is known; the one found replaces it.
+
+        Returns:
+            The fits (N,) of `FIT`, and the mean residuals (N, n, n) over the cells, grey levels; a hidden
+            cell with a bit leaves the whole contrast.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is out of range.
+        """
+        return self._fit(self.functions.fit_visible, request.structure(), request.markers, plane)
 
     def streak_evidence(self, request: FitRequest) -> tuple[Array, Array]:
         """Return the informations (N, 2, 2) and scores (N, 2) of `fitting.streak_evidence` for N markers.
@@ -394,6 +409,20 @@ class Library:
         check(result, ERRORS)
         return plane
 
+    def _fit(
+        self,
+        function: Callable[..., int],
+        given: ctypes.Structure,
+        markers: FitRequest,
+        plane: npt.NDArray[np.void],
+    ) -> tuple[npt.NDArray[np.void], Array]:
+        """Call one of both fits of N markers; return the fits (N,) and the cells' residuals (N, n, n)."""
+        count, n_cells = len(markers.start), markers.cells.shape[1] - 2
+        fits, means = np.empty(count, dtype=FIT), np.empty((count, n_cells, n_cells))
+        known, results = address("plane", plane, PLANE, (1,)), (fits.ctypes.data, means.ctypes.data)
+        check(function(ctypes.byref(given), known, *results), ERRORS)
+        return fits, means
+
     def _search_arguments(
         self, image: Image, places: Image, parameters: SearchParameters
     ) -> tuple[object, ...]:
@@ -431,6 +460,7 @@ def declared(functions: ctypes.CDLL) -> Library:
         "count_second_differences": (integer, pointer, long, long, integer, integer, pointer),
         "hold_unknowns": (integer, *(pointer,) * 3, long, integer, integer, pointer, pointer),
         "fit_markers": (integer, pointer, pointer, pointer, pointer),
+        "fit_visible": (integer, pointer, pointer, pointer, pointer),
         "streak_evidence": (integer, pointer, pointer, pointer),
         "follow_markers": (integer, pointer, pointer),
         "fit_plane": (integer, *(pointer,) * 4, long, integer, pointer),

@@ -1,24 +1,13 @@
 /* The fit of markers: Gauss-Newton steps in all unknowns of all markers of an image (fitting/fit.py). */
-#include "marker_pixels.h"
+#include "steps.h"
 
 #include <stdlib.h>
 #include <string.h>
 
 enum { POSE = 3 };
 
-/* What a fit keeps of its markers from step to step; (count,) each. */
-typedef struct {
-    Pixels *pixels;
-    Homography *start, *here;
-    Appearance *appearances;
-    double *moved_px;
-    uint8_t *is_active, *right;
-    Solutions free, held;
-    Complex middle;
-    int round_in_image;
-} Steps;
-
-static int32_t allocate_steps(Steps *steps, const FitRequest *given) {
+/* Allocate all arrays, and begin where the request does. Returns 0 or an error. */
+int32_t allocate_steps(Steps *steps, const FitRequest *given) {
     const size_t count = (size_t)given->count;
     *steps = (Steps){.middle = {(double)(given->width - 1) / 2, (double)(given->height - 1) / 2}};
     steps->pixels = calloc(count, sizeof *steps->pixels);
@@ -39,7 +28,7 @@ static int32_t allocate_steps(Steps *steps, const FitRequest *given) {
     return 0;
 }
 
-static void release_steps(Steps *steps, int64_t count) {
+void release_steps(Steps *steps, int64_t count) {
     for (int64_t k = 0; steps->pixels && k < count; k++) release_pixels(steps->pixels + k);
     free(steps->pixels);
     free(steps->start);
@@ -50,7 +39,7 @@ static void release_steps(Steps *steps, int64_t count) {
     release_solutions(&steps->held);
 }
 
-static void to_floats(const double *from, int64_t count, float *to) {
+void to_floats(const double *from, int64_t count, float *to) {
     for (int64_t i = 0; i < count; i++) to[i] = (float)from[i];
 }
 
@@ -78,7 +67,7 @@ static uint8_t cells_are_right(const FitRequest *given, const Steps *steps, int6
 }
 
 /* Move a marker by the step of its held solution, cut to the largest one. */
-static void step_marker(const FitRequest *given, Steps *steps, int64_t k) {
+void step_marker(const FitRequest *given, Steps *steps, int64_t k) {
     const FitConstants *constants = given->constants;
     const double *values = steps->held.values + k * UNKNOWNS, per = 1 / contrast_of(&steps->held, k, constants);
     const Complex shift = {values[RIGHT] * per, values[DOWN] * per}, grow = {values[GROW] * per, values[TURN] * per};
@@ -92,7 +81,7 @@ static void step_marker(const FitRequest *given, Steps *steps, int64_t k) {
 }
 
 /* Give a marker the perspective of the plane at its place. */
-static void put_on_plane(const Plane *plane, Steps *steps, int64_t k) {
+void put_on_plane(const Plane *plane, Steps *steps, int64_t k) {
     steps->here[k].perspective = perspective_at(plane, minus(steps->here[k].center, steps->middle));
 }
 
@@ -124,9 +113,11 @@ static int32_t take_steps(const FitRequest *given, Steps *steps, Plane *plane) {
         for (int64_t k = 0; k < given->count; k++) {
             if (!steps->is_active[k]) continue;
             steps->start[k] = steps->here[k];
-            const int32_t result = read_marker(given, steps->start + k, steps->appearances + k, steps->round_in_image,
-                                               steps->pixels + k, &steps->free, k);
+            Pixels *pixels = steps->pixels + k;
+            const int32_t result = draw_marker(given, steps->start + k, steps->appearances + k, steps->round_in_image,
+                                               pixels, k);
             if (result) return result;
+            solve_marker(given, pixels, pixels->bounds[1], &steps->free, k);
             if (number > 1) steps->right[k] = cells_are_right(given, steps, k);
         }
         const int32_t result = hold_common_unknowns(given, steps->start, steps->right, number > 1, &steps->free, plane,
@@ -215,7 +206,8 @@ static int32_t write_fit(const FitRequest *given, const Steps *steps, const Plan
     return is_picked ? variance_ratios(given, steps, k, influences, variances, fit) : 0;
 }
 
-static int32_t write_fits(const FitRequest *given, const Steps *steps, const Plane *plane, Fit *fits, double *cell_means) {
+/* Write the results of all markers. Returns 0 or an error. */
+int32_t write_fits(const FitRequest *given, const Steps *steps, const Plane *plane, Fit *fits, double *cell_means) {
     int64_t right = 0, seen = 0;
     for (int64_t k = 0; k < given->count; k++) right += steps->right[k];
     const int64_t most = given->constants->max_box_markers, every = right > most ? (right + most - 1) / most : 1;

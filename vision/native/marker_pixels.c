@@ -82,31 +82,31 @@ MarkerRows rows_of(const Pixels *own) {
 
 void release_pixels(Pixels *own) { free(own->columns); }
 
-/* Read the pixels of marker k about a homography, and solve for all of its unknowns. Returns 0 or an error. */
-int32_t read_marker(const FitRequest *given, const Homography *at, const Appearance *look, int round_in_image,
-                    Pixels *own, Solutions *solutions, int64_t k) {
+/* Read the pixels of marker k about a homography, and compute the model's columns at them. Returns 0 or an error. */
+int32_t draw_marker(const FitRequest *given, const Homography *at, const Appearance *look, int round_in_image, Pixels *own,
+                    int64_t k) {
     const int elliptic = is_elliptic(given, at, round_in_image);
     const int64_t sides = given->n + 2;
     Marker marker = marker_of(at, look, round_in_image, given->constants);
-    int32_t result = make_room(own, count_pixels(&marker, 1, given->height, given->width));
+    const int32_t result = make_room(own, count_pixels(&marker, 1, given->height, given->width));
     if (result) return result;
     list_pixels(&marker, 1, given->height, given->width, own->bounds, own->places, own->pixels, own->room);
     const float texture = (float)given->texture;
     const Scene scene = {given->image, &marker, given->cells + k * sides * sides, given->height, given->width, given->n,
                          texture * texture};
     const MarkerRows rows = rows_of(own);
-    if (elliptic) {
-        double table[6];
-        blur_table(given, at, marker.sigma, table);
-        marker.keystone = keystone_of(at, at->perspective);
-        result = fill_elliptic(&scene, &rows, table, own->bends);
-    } else {
-        result = fill_round(&scene, &rows);
-    }
-    if (result) return result;
+    if (!elliptic) return fill_round(&scene, &rows);
+    double table[6];
+    blur_table(given, at, marker.sigma, table);
+    marker.keystone = keystone_of(at, at->perspective);
+    return fill_elliptic(&scene, &rows, table, own->bends);
+}
+
+/* Solve for all unknowns of marker k from the columns of its pixels, of which so many are used. */
+void solve_marker(const FitRequest *given, const Pixels *own, int64_t used, Solutions *solutions, int64_t k) {
+    const MarkerRows rows = rows_of(own);
     float gram[COLUMNS * COLUMNS];
     gram_matrices(&rows, gram);
     solve(gram, given->constants, solutions, k);
-    solutions->pixels[k] = (double)rows.rows;
-    return 0;
+    solutions->pixels[k] = (double)used;
 }

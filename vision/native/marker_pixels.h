@@ -15,8 +15,9 @@ static inline double limited(double value, double low, double high) {
     return value < low ? low : value > high ? high : value;
 }
 
-int32_t read_marker(const FitRequest *given, const Homography *at, const Appearance *look, int round_in_image,
-                    Pixels *own, Solutions *solutions, int64_t k);
+int32_t draw_marker(const FitRequest *given, const Homography *at, const Appearance *look, int round_in_image, Pixels *own,
+                    int64_t k);
+void solve_marker(const FitRequest *given, const Pixels *own, int64_t used, Solutions *solutions, int64_t k);
 MarkerRows rows_of(const Pixels *own);
 void release_pixels(Pixels *own);
 void streak_moments(const Homography *at, Complex streak, double table[3]);

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Image, IntArray
+from skyherd.geometry import Array, Image, IntArray
 from skyherd.native.arguments import address, check_plane
 
 UNKNOWNS, COLUMNS = 15, 16
@@ -305,4 +305,70 @@ class FitRequest:
             self.max_steps,
             self.alone,
             self.streak_px2 is not None,
+        )
+
+
+class VisibleConstants(ctypes.Structure):
+    """Constants of the fit to visible pixels, as `VisibleConstants` in `fit.h`; see `fitting.occlusion`."""
+
+    _fields_ = (
+        ("inlier_sigmas", ctypes.c_double),
+        ("pixel_share", ctypes.c_double),
+        ("limit_factor", ctypes.c_double),
+        ("margin_sigmas", ctypes.c_double),
+        ("cover_share", ctypes.c_double),
+        ("min_visible_share", ctypes.c_double),
+        ("min_clear_share", ctypes.c_double),
+        ("final_rounds", ctypes.c_int32),
+        ("min_cover_px", ctypes.c_int32),
+    )
+
+
+class VisibleRequestStructure(ctypes.Structure):
+    """Markers of which a part may be covered; `VisibleRequest` in `fit.h` has the same fields."""
+
+    _fields_ = (
+        ("markers", ctypes.POINTER(FitRequestStructure)),
+        ("constants", ctypes.POINTER(VisibleConstants)),
+        ("blacks", ctypes.c_void_p),
+        ("contrasts", ctypes.c_void_p),
+        ("sigmas_px", ctypes.c_void_p),
+        ("border", ctypes.c_int64),
+    )
+
+
+@dataclass(frozen=True)
+class VisibleRequest:
+    """N markers, at least one, of which a part may be covered.
+
+    Attributes:
+        markers: where the fit begins, with the black ratios of a fit to all pixels.
+        constants: of the fit to visible pixels.
+        blacks: (N,) black levels of the fit to all pixels, grey levels.
+        contrasts: (N,) its contrasts, grey levels.
+        sigmas_px: (N,) standard deviations of the blur of lens and pixel together, px.
+        border: width of the markers' border, cells.
+    """
+
+    markers: FitRequest
+    constants: VisibleConstants
+    blacks: Array
+    contrasts: Array
+    sigmas_px: Array
+    border: int
+
+    def structure(self) -> VisibleRequestStructure:
+        """Return the structure of the request, which is valid as long as its arrays.
+
+        Raises:
+            InputError: an array has another type, shape or memory layout.
+        """
+        count = len(self.markers.start)
+        return VisibleRequestStructure(
+            ctypes.pointer(self.markers.structure()),
+            ctypes.pointer(self.constants),
+            address("blacks", self.blacks, np.float64, (count,)),
+            address("contrasts", self.contrasts, np.float64, (count,)),
+            address("sigmas_px", self.sigmas_px, np.float64, (count,)),
+            self.border,
         )

@@ -65,8 +65,9 @@ int32_t streak_evidence(const FitRequest *given, double *informations, double *s
     Solutions solutions;
     int32_t result = allocate_solutions(&solutions, given->count);
     for (int64_t k = 0; !result && k < given->count; k++) {
-        result = read_marker(given, given->start + k, given->appearances + k, 1, &pixels, &solutions, k);
+        result = draw_marker(given, given->start + k, given->appearances + k, 1, &pixels, k);
         if (result) break;
+        solve_marker(given, &pixels, pixels.bounds[1], &solutions, k);
         float maps[3][PARTS];
         derivative_maps(given->start + k, contrast_of(&solutions, k, given->constants), maps);
         const Products products = products_of(&pixels, maps);

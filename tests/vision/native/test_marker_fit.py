@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
-from tests.helpers import fit_reference
+from tests.helpers import fit_reference, visible_reference
 from tests.helpers.native_builds import builds
 
 from skyherd.bench.detectors.design import Cell
@@ -12,11 +13,12 @@ from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.errors import InputError
 from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.vision.native.library import declared, library
-from skyherd.vision.native.records import APPEARANCE, HOMOGRAPHY
+from skyherd.vision.native.records import APPEARANCE, HOMOGRAPHY, VisibleRequest
 from skyherd.vision.photometric.fitting import common_unknowns
 from skyherd.vision.photometric.fitting.appearance import appearances_of
 from skyherd.vision.photometric.fitting.fit import fit_markers, fit_request
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.occlusion import fit_visible, visible_constants
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.fitting.streak_evidence import streak_evidence
 
@@ -165,3 +167,50 @@ def test_other_invalid_arguments_are_rejected():
         library().fit_markers(request_of(), np.zeros(2))
     with pytest.raises(InputError, match="size"):
         library().streak_evidence(request_of())  # without a streak
+
+
+def visible_scene(scene, cover):
+    """Return a frame, some markers of which a grey disc, a dark stroke or nothing covers in part."""
+    frame = frame_of(scene)
+    image = frame.image.copy()
+    for k, (u, v) in enumerate(np.rint(frame.centers_px).astype(int).tolist()):
+        if cover == "disc" and k % 3 == 0:
+            cv2.circle(image, (u + 11, v + 3), 5, 90, cv2.FILLED)
+        elif cover == "stroke" and k % 2 == 0:
+            cv2.line(image, (u - 20, v - 9), (u + 20, v + 12), 20, 2)
+    return replace(frame, image=image)
+
+
+@pytest.mark.parametrize("cover", ["nothing", "disc", "stroke"])
+@pytest.mark.parametrize("scene", SCENES)
+def test_fit_to_visible_pixels_equals_numpy(scene, cover):
+    frame = visible_scene(scene, cover)
+    start, noise = start_of(frame, "near", 4), 3.0
+    given = frame.image, DICTIONARY, frame.ids
+    plain, plane = fit_markers(*given, start, 0.9, Plane(), noise)
+    found = fit_visible(frame.image, DICTIONARY, plain, 0.9, plane, noise)
+    expected = visible_reference.fit_visible(frame.image, DICTIONARY, plain, 0.9, plane, noise)
+    assert_alike(found, expected)
+    assert cover == "nothing" or (found.pixels < 0.99 * plain.pixels).sum() >= 4
+
+
+def test_builds_fit_visible_pixels_alike():
+    frame = visible_scene("tilted", "disc")
+    plain, plane = fit_markers(
+        frame.image, DICTIONARY, frame.ids, start_of(frame, "near", 5), 0.9, Plane(), 3.0
+    )
+    looks = appearances_of(DICTIONARY, frame.ids, plain.homographies.blurs(0.9), plane, 3.0)
+    request = VisibleRequest(
+        markers=fit_request(frame.image, plain.homographies, looks, 3.0),
+        constants=visible_constants(),
+        blacks=plain.blacks.copy(),
+        contrasts=plain.contrasts.copy(),
+        sigmas_px=np.full(frame.ids.size, 0.9),
+        border=1,
+    )
+    results = [one.fit_visible(request, plane.record()) for one in builds("vision", declared).values()]
+    assert len({fits.tobytes() + means.tobytes() for fits, means in results}) == 1
+    with pytest.raises(InputError, match="contrasts"):
+        library().fit_visible(replace(request, contrasts=plain.contrasts[:3]), plane.record())
+    with pytest.raises(InputError):
+        library().fit_visible(replace(request, border=-1), plane.record())

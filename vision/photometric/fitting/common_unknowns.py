@@ -24,7 +24,6 @@ from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolutio
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import (
     Plane,
-    fit_plane,
 )
 
 MIN_PIXELS_FOR_PLANE = 2 * UNKNOWNS
@@ -100,32 +99,6 @@ def _tells_more(
     return bool(chi_squared.mean() > limit)
 
 
-def on_common_plane(
-    solution: LeastSquaresSolution, start: LocalHomographies, middle: complex, plane: Plane
-) -> tuple[LeastSquaresSolution, Plane]:
-    """Return the solution with anisotropies and keystones held at those of the plane that explains all.
-
-    Where no plane explains the anisotropies they are left free, and keystones are held at zero.
-
-    Args:
-        solution: with anisotropies and keystones free.
-        start: homographies about which it is linear.
-        middle: centre of the image, u + iv, px.
-        plane: of the step before, which gives the markers' keystones while their anisotropies are compared.
-
-    Returns:
-        The solution, and the plane.
-    """
-    points = start.centers - middle
-    before = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
-    plane = _common_plane(with_keystones(solution, start, before), start, points)
-    perspectives = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
-    solution = with_keystones(solution, start, perspectives)
-    if not plane.shared:
-        return solution, plane
-    return solution.constrained(ANISOTROPY, steps_to(plane.anisotropies(points), solution, start)), plane
-
-
 def with_keystones(
     solution: LeastSquaresSolution, start: LocalHomographies, perspectives: ComplexArray | complex
 ) -> LeastSquaresSolution:
@@ -156,12 +129,3 @@ def found_anisotropies(solution: LeastSquaresSolution, start: LocalHomographies)
 def _components(steps: ComplexArray) -> Array:
     """Real and imaginary parts (N, 2) of complex steps (N,)."""
     return np.stack([steps.real, steps.imag], axis=1)
-
-
-def _common_plane(solution: LeastSquaresSolution, start: LocalHomographies, points: ComplexArray) -> Plane:
-    """Return the plane that markers at image points (N,) lie on, from the anisotropies of a solution."""
-    spread = solution.inverse_normals[:, ANISOTROPY, ANISOTROPY].mean(axis=1)
-    counted = (spread > 0) & (solution.pixels > MIN_PIXELS_FOR_PLANE)
-    spread = np.where(counted, spread, np.inf)
-    variances = spread * (solution.noise_stds() / solution.contrasts()) ** 2
-    return fit_plane(points, found_anisotropies(solution, start), variances, most=False)

@@ -32,7 +32,6 @@ texture is noise too, and without the weights the covariance would promise too m
 
 from itertools import pairwise
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -135,25 +134,6 @@ class DesignMatrices:
         """Return the inner products (N, 16, 16) of the weighted columns and the pixels."""
         return library().gram_matrices(self._data)
 
-    def restrict(self, used: BoolArray) -> None:
-        """Set all pixels to zero, in place, but those marked in `used` (P,)."""
-        self.columns[~used] = 0.0
-        before = np.concatenate([[0], np.cumsum(self.columns[:, BLACK] > 0)])
-        self.counts = np.diff(before[self.bounds])
-
-    def away_from(self, outliers: BoolArray, margin_px: Array) -> BoolArray:
-        """Return which pixels (P,) are neither `outliers` (P,) nor within `margin_px` (N,) of one."""
-        away = ~outliers
-        for number, (begin, end) in enumerate(pairwise(self.bounds.tolist())):
-            out = outliers[begin:end]
-            if margin_px[number] > 0 and out.any():
-                columns, rows = (self.pixels[begin:end] - self.pixels[begin:end].min(axis=0)).T
-                is_away = np.ones((rows.max() + 1, columns.max() + 1), dtype=np.uint8)
-                is_away[rows[out], columns[out]] = 0
-                distances_px = cv2.distanceTransform(is_away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-                away[begin:end] = distances_px[rows, columns] > margin_px[number]
-        return away
-
     def residuals(self, solutions: Array) -> Floats:
         """Return the weighted residuals (P,), grey levels, of the model at `solutions` (N, 15)."""
         return library().residuals(self._data, np.ascontiguousarray(solutions, dtype=np.float32))
@@ -184,11 +164,6 @@ class DesignMatrices:
         """
         model, by = (np.ascontiguousarray(factors, dtype=np.float32) for factors in (solutions, influences))
         return library().squared_box_sums(self._data, model, by, picked, box_px)
-
-    def cell_support(self, n_cells: int) -> Array:
-        """Return the share (N, n, n) of each cell's pixels that is used; 0 for a cell off the image."""
-        _, used, read, _ = self._sums_over_cells(np.zeros((self.rows.size, UNKNOWNS)), n_cells)
-        return np.asarray(used / np.maximum(read, 1))
 
     def _sums_over_cells(self, solutions: Array, n_cells: int) -> tuple[Array, Array, Array, Array]:
         """Residuals, pixels used and pixels read over each cell (N, n, n), and largest residuals (N,)."""

@@ -24,7 +24,7 @@ from skyherd.vision.photometric.fitting import (
 )
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances, appearances_of
 from skyherd.vision.photometric.fitting.correlated_noise import BOX_PX, MAX_MARKERS, box_ratios
-from skyherd.vision.photometric.fitting.design_matrix import ANISOTROPY, CONTRAST, KEYSTONE, DesignMatrices
+from skyherd.vision.photometric.fitting.design_matrix import ANISOTROPY, KEYSTONE, DesignMatrices
 from skyherd.vision.photometric.fitting.fit_result import MAX_LOG_BLUR, FitResults, pose_influences
 from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
@@ -67,13 +67,6 @@ OUTLIER_SHARE, OUTLIER_SIGMAS = 0.25, 6.0
 """A pixel whose residual exceeds both this share of the contrast and this many standard deviations of the
 noise shows something other than the marker. Chosen: wrong poses and blurs leave less once a fit is near."""
 
-COVER_SHARE, MIN_COVER_PX = 0.25, 16
-"""Residual, as a share of the contrast, and number of pixels with it, from which on something covers a
-marker. Measured: a disc over 2 % of a marker of 30 px leaves more. A drawing that was shrunk without a filter
-leaves 6 to 12 such pixels along the edges of a marker of 70 px, and more than 4 standard deviations of the
-noise at a hundred; with a margin about those its centre was a tenth to a third less accurate, since what lies
-beside an edge tells most of the pose."""
-
 
 class PixelSamples:
     """The pixels last read of each of N markers, as design matrices and their Gram matrices.
@@ -93,8 +86,6 @@ class PixelSamples:
         rows: IntArray,
         start: LocalHomographies,
         appearances: MarkerAppearances,
-        inlier_limits: tuple[Array, Array] | None = None,
-        margin_px: Array | None = None,
     ) -> None:
         """Read the pixels of the markers `rows` (R,) again.
 
@@ -103,21 +94,8 @@ class PixelSamples:
             rows: indices of the markers to be read.
             start: homographies of all N markers, about which the model is linear.
             appearances: of all N markers.
-            inlier_limits: a solution (N, 15) and limits (N,), grey levels; only pixels whose residual from
-                that solution is below their marker's limit are used. All are if left out.
-            margin_px: (N,) so far about the others no pixel is used either, px, of markers that something
-                covers; none if left out.
         """
         pixels = DesignMatrices(image, rows, start.take(rows), appearances.take(rows))
-        if inlier_limits is not None:
-            values, limits = (of_each[rows] for of_each in inlier_limits)
-            residuals = np.abs(pixels.residuals(values))
-            used = residuals < np.repeat(limits, pixels.counts)
-            if margin_px is not None:
-                covers = residuals > np.repeat(COVER_SHARE * values[:, CONTRAST], pixels.counts)
-                is_covered = np.add.reduceat(covers, pixels.bounds[:-1]) >= MIN_COVER_PX
-                used = pixels.away_from(~used, np.where(is_covered, margin_px[rows], 0.0))
-            pixels.restrict(used)
         self._grams[rows], self._counts[rows] = pixels.gram_matrices(), pixels.counts
         self._part_of[rows] = len(self._parts)
         self._parts.append(pixels)
@@ -141,13 +119,6 @@ class PixelSamples:
                 solution.values[pixels.rows], n_cells
             )
         return means[rows], peaks[rows]
-
-    def cell_support(self, rows: IntArray, n_cells: int) -> Array:
-        """Return the share (R, n, n) of each cell's pixels that was used, for the markers `rows` (R,)."""
-        shares = np.empty((self._counts.size, n_cells, n_cells))
-        for pixels in self._latest_parts(rows):
-            shares[pixels.rows] = pixels.cell_support(n_cells)
-        return shares[rows]
 
     def variance_ratios(
         self, right: BoolArray, solution: LeastSquaresSolution, homographies: LocalHomographies

@@ -14,15 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from skyherd.geometry import UNIFORM_VARIANCE, Array
-from skyherd.markers.dictionary import border_cells, cells_per_side
+from skyherd.geometry import Array
+from skyherd.markers.dictionary import border_cells
 from skyherd.vision.grey import Image
-from skyherd.vision.native.records import UNKNOWNS
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import VisibleConstants, VisibleRequest
 from skyherd.vision.photometric.fitting.appearance import appearances_of
-from skyherd.vision.photometric.fitting.common_unknowns import on_common_plane, with_common_tone
-from skyherd.vision.photometric.fitting.design_matrix import BLACK, CONTRAST, MIDDLE_GREY, POSE
-from skyherd.vision.photometric.fitting.fit import PixelSamples, image_middle, stepped
-from skyherd.vision.photometric.fitting.fit_result import FitResults, fit_results_of
+from skyherd.vision.photometric.fitting.fit import fit_request
+from skyherd.vision.photometric.fitting.fit_result import FitResults
 from skyherd.vision.photometric.fitting.plane import Plane
 
 INLIER_SIGMAS = 4.0
@@ -33,7 +32,10 @@ the noise look smaller; at twice as much faint covers would count."""
 PIXEL_SHARE = 0.057
 """Largest difference between an edge seen by square pixels and under the normal blur of equal variance by
 which it is modelled, as a share of the contrast. Derived: `Φ(x / σ) - (x + 1/2)` is largest at
-0.23 px. With a lens's blur it falls faster than with the fourth power of the two together."""
+0.23 px. With a lens's blur it falls faster than with the fourth power of the two together. It matters in
+shrunk images, whose pixels have little noise and next to no blur of a lens: pixels along the edges, which
+tell the pose, would be left out as covered, more on one side than on the other. Measured on markers of 1500
+px of which a disc covers 2 %: 0.01 to 0.05 px off without, 0.002 with it."""
 
 LIMIT_FACTOR = 0.5
 """Factor by which the limit falls in each round. Chosen: nearer to 1 takes more rounds, nearer to 0 leaves
@@ -47,6 +49,13 @@ MARGIN_SIGMAS = 2.0
 """In the last rounds pixels are left out too that are so near to one beyond the limit, standard deviations of
 the blur: a cover's blurred edge goes on below the limit, and pulls. Measured on markers of 30 px of which a
 disc covers 5 %: headings have a NEES of 1.9 without a margin, and of 1.2 with this one."""
+
+COVER_SHARE, MIN_COVER_PX = 0.25, 16
+"""Residual, as a share of the contrast, and number of pixels with it, from which on something covers a
+marker. Measured: a disc over 2 % of a marker of 30 px leaves more. A drawing that was shrunk without a filter
+leaves 6 to 12 such pixels along the edges of a marker of 70 px, and more than 4 standard deviations of the
+noise at a hundred; with a margin about those its centre was a tenth to a third less accurate, since what lies
+beside an edge tells most of the pose."""
 
 MIN_CLEAR_SHARE = 0.2
 """Share of a cell's pixels that must lie beyond the margins for its bit to be known. Chosen: five pixels of a
@@ -75,67 +84,31 @@ def fit_visible(
         The new results. A hidden cell of the black border leaves no residual; a hidden cell with a bit leaves
         as much as a wrong one, so that a marker with a hidden bit is never verified.
     """
-    n_cells, middle = cells_per_side(dictionary), image_middle(image)
-    blurs = fits.homographies.blurs(sigma_px)
+    sigmas_px = np.array(np.broadcast_to(sigma_px, (fits.ids.size,)), dtype=float)
+    blurs = fits.homographies.blurs(sigmas_px)
     appearances = appearances_of(dictionary, fits.ids, blurs, plane, noise)
     appearances = replace(appearances, black_ratios=fits.blacks / fits.contrasts)
-    perspectives = plane.perspectives(fits.homographies.centers - middle)
-    rows, homographies = np.arange(fits.ids.size), replace(fits.homographies, perspectives=perspectives)
-    values = np.zeros((rows.size, UNKNOWNS))
-    values[:, BLACK], values[:, CONTRAST] = fits.blacks - MIDDLE_GREY, fits.contrasts
-    samples = PixelSamples(rows.size)
-    limits = fits.contrasts / 2
-    edge_misfits = _edge_misfits(sigma_px) * fits.contrasts
-    rounds = _rounds(fits.contrasts, noise)
-    margin_px = MARGIN_SIGMAS * np.broadcast_to(sigma_px, (rows.size,))
-    for number in range(rounds):
-        margins = margin_px if number > rounds - FINAL_ROUNDS else None
-        values[:, POSE] = 0.0  # the last round's step was taken
-        samples.read(
-            image, rows, homographies, appearances, inlier_limits=(values, limits), margin_px=margins
-        )
-        if margins is None:
-            seen = samples.cell_support(rows, n_cells)
-        everyone = np.ones(rows.size, dtype=bool)
-        solution = with_common_tone(samples.solution(), everyone)
-        solution, plane = on_common_plane(solution, homographies, middle, plane)
-        values = solution.values.copy()
-        homographies, moved_px = stepped(solution, homographies)
-        homographies = replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))
-        last_limits = INLIER_SIGMAS * np.minimum(noise, solution.noise_stds()) + edge_misfits
-        limits = np.maximum(LIMIT_FACTOR * limits, last_limits)
-    means, peaks = samples.cell_residuals(rows, solution, n_cells)
-    means = _hidden_bits_as_wrong(
-        means,
-        np.minimum(seen, samples.cell_support(rows, n_cells) * MIN_VISIBLE_SHARE / MIN_CLEAR_SHARE),
-        solution.contrasts(),
-        border_cells(dictionary),
+    request = VisibleRequest(
+        markers=fit_request(image, fits.homographies, appearances, noise),
+        constants=visible_constants(),
+        blacks=np.ascontiguousarray(fits.blacks),
+        contrasts=np.ascontiguousarray(fits.contrasts),
+        sigmas_px=sigmas_px,
+        border=border_cells(dictionary),
     )
-    variances = plane.variances(homographies.centers - middle) if plane.shared else np.zeros(rows.size)
-    return fit_results_of(fits.ids, solution, homographies, (means, peaks), moved_px, blurs, variances)
+    return FitResults.of_records(fits.ids, *library().fit_visible(request, plane.record()), blurs)
 
 
-def _edge_misfits(sigma_px: float | Array) -> Array:
-    """Return what the model of the blur (N,) leaves along edges at most, as a share of the contrast.
-
-    It matters in shrunk images, whose pixels have little noise and next to no blur of a lens: pixels along
-    the edges, which tell the pose, would be left out as covered, more on one side than on the other.
-    Measured on markers of 1500 px of which a disc covers 2 %: 0.01 to 0.05 px off without, 0.002 with it.
-    """
-    return np.asarray(PIXEL_SHARE * (UNIFORM_VARIANCE / np.square(sigma_px)) ** 2)
-
-
-def _rounds(contrasts: Array, noise: float) -> int:
-    """Return rounds until the limit has fallen to its last value, and `FINAL_ROUNDS` more."""
-    falls = np.log(INLIER_SIGMAS * noise / (contrasts.max() / 2)) / np.log(LIMIT_FACTOR)
-    return int(np.ceil(max(falls, 0.0))) + FINAL_ROUNDS
-
-
-def _hidden_bits_as_wrong(cell_means: Array, support: Array, contrasts: Array, border: int) -> Array:
-    """Return mean residuals (N, n, n), in which a cell with too little support leaves the whole contrast.
-
-    That holds for cells with a bit; hidden cells of the border leave zero.
-    """
-    has_bit = np.zeros(support.shape[1:])
-    has_bit[border:-border, border:-border] = 1.0
-    return np.where(support < MIN_VISIBLE_SHARE, has_bit * contrasts[:, None, None], cell_means)
+def visible_constants() -> VisibleConstants:
+    """Return the constants of the fit to visible pixels for the compiled library."""
+    return VisibleConstants(
+        inlier_sigmas=INLIER_SIGMAS,
+        pixel_share=PIXEL_SHARE,
+        limit_factor=LIMIT_FACTOR,
+        margin_sigmas=MARGIN_SIGMAS,
+        cover_share=COVER_SHARE,
+        min_visible_share=MIN_VISIBLE_SHARE,
+        min_clear_share=MIN_CLEAR_SHARE,
+        final_rounds=FINAL_ROUNDS,
+        min_cover_px=MIN_COVER_PX,
+    )

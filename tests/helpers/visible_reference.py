@@ -1,0 +1,120 @@
+"""The fit of markers to their visible pixels in NumPy: the reference for the compiled one."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from tests.helpers.fit_reference import common_plane
+
+from skyherd.geometry import UNIFORM_VARIANCE
+from skyherd.markers.dictionary import border_cells, cells_per_side
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import UNKNOWNS
+from skyherd.vision.photometric.fitting import occlusion
+from skyherd.vision.photometric.fitting.appearance import appearances_of
+from skyherd.vision.photometric.fitting.common_unknowns import (
+    NO_PERSPECTIVE,
+    found_anisotropies,
+    steps_to,
+    with_common_tone,
+    with_keystones,
+)
+from skyherd.vision.photometric.fitting.design_matrix import (
+    ANISOTROPY,
+    BLACK,
+    CONTRAST,
+    MIDDLE_GREY,
+    POSE,
+    DesignMatrices,
+)
+from skyherd.vision.photometric.fitting.fit import image_middle, stepped
+from skyherd.vision.photometric.fitting.fit_result import fit_results_of
+from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
+
+
+def fit_visible(image, dictionary, fits, sigma_px, plane, noise):
+    """Return what the function of this name in `skyherd.vision.photometric.fitting.occlusion` does."""
+    n_cells, middle = cells_per_side(dictionary), image_middle(image)
+    blurs = fits.homographies.blurs(sigma_px)
+    appearances = appearances_of(dictionary, fits.ids, blurs, plane, noise)
+    appearances = replace(appearances, black_ratios=fits.blacks / fits.contrasts)
+    perspectives = plane.perspectives(fits.homographies.centers - middle)
+    rows, homographies = np.arange(fits.ids.size), replace(fits.homographies, perspectives=perspectives)
+    values = np.zeros((rows.size, UNKNOWNS))
+    values[:, BLACK], values[:, CONTRAST] = fits.blacks - MIDDLE_GREY, fits.contrasts
+    limits, everyone = fits.contrasts / 2, np.ones(rows.size, dtype=bool)
+    margins_px = occlusion.MARGIN_SIGMAS * np.broadcast_to(sigma_px, rows.shape)
+    edges = occlusion.PIXEL_SHARE * (UNIFORM_VARIANCE / np.square(sigma_px)) ** 2 * fits.contrasts
+    rounds = _rounds(fits.contrasts, noise)
+    for number in range(rounds):
+        values[:, POSE] = 0.0  # the last round's step was taken
+        pixels = DesignMatrices(image, rows, homographies, appearances)
+        with_margins = number > rounds - occlusion.FINAL_ROUNDS
+        used = _used(pixels, values, limits, margins_px if with_margins else 0 * margins_px)
+        pixels.columns[~used] = 0.0
+        before = np.concatenate([[0], np.cumsum(pixels.columns[:, BLACK] > 0)])
+        counts = np.diff(before[pixels.bounds])
+        solution = LeastSquaresSolution.of_grams(pixels.gram_matrices().astype(float), counts)
+        solution = with_common_tone(solution, everyone)
+        solution, plane = _on_common_plane(solution, homographies, middle, plane)
+        values = solution.values.copy()
+        homographies, moved_px = stepped(solution, homographies)
+        homographies = replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))
+        last_limits = occlusion.INLIER_SIGMAS * np.minimum(noise, solution.noise_stds()) + edges
+        limits = np.maximum(occlusion.LIMIT_FACTOR * limits, last_limits)
+        shares = _visible_shares(pixels, n_cells)
+        if not with_margins:
+            seen = shares
+    means, peaks = pixels.cell_residuals(solution.values, n_cells)
+    support = np.minimum(seen, shares * occlusion.MIN_VISIBLE_SHARE / occlusion.MIN_CLEAR_SHARE)
+    border, has_bit = border_cells(dictionary), np.zeros((n_cells, n_cells))
+    has_bit[border:-border, border:-border] = 1.0
+    hidden = has_bit * solution.contrasts()[:, None, None]
+    means = np.where(support < occlusion.MIN_VISIBLE_SHARE, hidden, means)
+    variances = plane.variances(homographies.centers - middle) if plane.shared else np.zeros(rows.size)
+    return fit_results_of(fits.ids, solution, homographies, (means, peaks), moved_px, blurs, variances)
+
+
+def _rounds(contrasts, noise):
+    """Return rounds until the limit has fallen to its last value, and the final ones."""
+    falls = np.log(occlusion.INLIER_SIGMAS * noise / (contrasts.max() / 2)) / np.log(occlusion.LIMIT_FACTOR)
+    return int(np.ceil(max(falls, 0.0))) + occlusion.FINAL_ROUNDS
+
+
+def _used(pixels, values, limits, margins_px):
+    """Return which pixels (P,) are within the limits, and further than a margin from those beyond."""
+    residuals = np.abs(pixels.residuals(values))
+    used = residuals < np.repeat(limits, pixels.counts)
+    covers = residuals > np.repeat(occlusion.COVER_SHARE * values[:, CONTRAST], pixels.counts)
+    for row, (begin, end) in enumerate(zip(pixels.bounds[:-1], pixels.bounds[1:], strict=True)):
+        out = ~used[begin:end]
+        if margins_px[row] > 0 and covers[begin:end].sum() >= occlusion.MIN_COVER_PX and out.any():
+            v, u = (pixels.pixels[begin:end] - pixels.pixels[begin:end].min(axis=0)).T
+            is_away = np.ones((v.max() + 1, u.max() + 1), dtype=np.uint8)
+            is_away[v[out], u[out]] = 0
+            distances_px = cv2.distanceTransform(is_away, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+            used[begin:end] = distances_px[v, u] > margins_px[row]
+    return used
+
+
+def _visible_shares(pixels, n_cells):
+    """Return the share (N, n, n) of each cell's pixels that is used; 0 for a cell off the image."""
+    nothing = np.zeros((pixels.rows.size, UNKNOWNS), dtype=np.float32)
+    _, used, read, _ = library().cell_sums(pixels._data, nothing, n_cells)
+    return used / np.maximum(read, 1)
+
+
+def _on_common_plane(solution, start, middle, plane):
+    """Return the solution with anisotropies and keystones held at those of the plane that explains all.
+
+    Where no plane explains the anisotropies they are left free, and keystones are held at zero.
+    """
+    points = start.centers - middle
+    before = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
+    held, everyone = with_keystones(solution, start, before), np.ones(points.size, dtype=bool)
+    plane = common_plane(held, points, found_anisotropies(held, start), everyone, most=False)
+    perspectives = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
+    solution = with_keystones(solution, start, perspectives)
+    if not plane.shared:
+        return solution, plane
+    return solution.constrained(ANISOTROPY, steps_to(plane.anisotropies(points), solution, start)), plane

@@ -80,7 +80,27 @@ def fuzz_vision(path, seed=0, images=150):
     for size in [(1, 1), (1, 70), (70, 1), (0, 2), (-2, 2), (3, 4), (1 << 21, 2), (1 << 15, 1 << 15)]:
         assert library.functions.search_workspace_bytes(*size) == 0
         assert library.functions.search_quads(None, None, *size, None, None, 0, None, None, 0) < 0
+    fuzz_patterns(library, rng)
     return found + fuzz_fit(library, rng)
+
+
+def fuzz_patterns(library, rng, requests=60):
+    """Fit random patterns to random readings, of grids of 1 to 20 cells, some with absurd numbers."""
+    from skyherd.vision.native.records import PatternRequest
+    from skyherd.vision.photometric.pattern_fit import pattern_constants
+
+    for _ in range(requests):
+        n, count, each = int(rng.integers(1, 21)), int(rng.integers(0, 4)), int(rng.integers(0, 4))
+        parts = (3 * n + 6) ** 2
+        levels, seen, grounds = (rng.random((count, parts)).astype(np.float32) for _ in range(3))
+        scales, weights, ranges = rng.uniform(1, 200, (3, count))
+        patterns = rng.random((count, each, parts)).astype(np.float32)
+        for numbers in (levels, seen, grounds, scales, weights, ranges, patterns):
+            if rng.random() < 0.1:
+                numbers[rng.random(numbers.shape) < 0.1] = rng.choice([0.0, np.nan, np.inf, -1e30])
+        ground = [None, grounds, grounds[:1]][rng.integers(0, 3)]
+        about = ground, pattern_constants(), n, bool(rng.integers(0, 2))
+        library.fit_patterns(PatternRequest(levels, seen, scales, weights, ranges, patterns, *about))
 
 
 def fuzz_fit(library, rng, images=150):

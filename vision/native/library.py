@@ -19,11 +19,13 @@ from skyherd.vision.native.records import (
     FIT,
     MARKER,
     MAX_SECOND_DIFFERENCE,
+    PATTERN_FIT,
     PLANE,
     UNKNOWNS,
     FitRequest,
     Floats,
     MarkerRows,
+    PatternRequest,
     PlaneLimits,
     Rows,
     Scene,
@@ -368,6 +370,16 @@ class Library:
         check(self.functions.streak_evidence(ctypes.byref(given), *results), ERRORS)
         return informations, scores
 
+    def fit_patterns(self, request: PatternRequest) -> npt.NDArray[np.void]:
+        """Return fits (N, K) of `PATTERN_FIT` of patterns to readings (`photometric.pattern_fit`).
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is out of range.
+        """
+        given, fits = request.structure(), np.empty(request.patterns.shape[:2], dtype=PATTERN_FIT)
+        check(self.functions.fit_patterns(ctypes.byref(given), fits.ctypes.data), ERRORS)
+        return fits
+
     def follow_markers(self, request: FollowRequest) -> tuple[int, FollowResults]:
         """Follow markers into an image; return how far it went, as `follow.h` says, and the results.
 
@@ -462,6 +474,7 @@ def declared(functions: ctypes.CDLL) -> Library:
         "fit_markers": (integer, pointer, pointer, pointer, pointer),
         "fit_visible": (integer, pointer, pointer, pointer, pointer),
         "streak_evidence": (integer, pointer, pointer, pointer),
+        "fit_patterns": (integer, pointer, pointer),
         "follow_markers": (integer, pointer, pointer),
         "fit_plane": (integer, *(pointer,) * 4, long, integer, pointer),
     }

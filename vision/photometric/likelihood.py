@@ -34,7 +34,6 @@ from skyherd.vision.photometric.readings import (
     draw_codes,
     exposed,
     nearest_codes,
-    on_marker,
     part_places,
 )
 from skyherd.vision.row_record import RowRecord
@@ -220,7 +219,7 @@ def _odds_of_codes(
         log_odds[_contradictions(readings, black_cells(dictionary)[code] < 0.5) > MAX_CONTRADICTION] = -np.inf
     against[~seen] = -np.inf
     ids, turns = np.divmod(code, 4)
-    outliers = fits.outliers[rows, best][:, on_marker(readings.n_cells)].mean(axis=1)
+    outliers = fits.outlier_shares[rows, best]
     blacks, levels = fits.levels[rows, best, :2].T
     return MarkerOdds(ids, turns, log_odds, against, blacks, levels, std, outliers)
 
@@ -318,7 +317,7 @@ def _log_rectangles(readings: Readings, blur: tuple[float, float], *, clips: boo
     best = np.argpartition(-gain.reshape(len(images), -1), MAX_RECTANGLES, axis=1)[:, :MAX_RECTANGLES]
     rows, columns = np.divmod(best, len(along))
     drawn = (down[rows][..., :, None] * along[columns][..., None, :]).reshape(*best.shape, -1)
-    drawn, ground = (exposed(white, clips) for white in (drawn, ground.reshape(1, 1, -1)))
+    drawn, ground = (exposed(white, clips) for white in (drawn, ground.reshape(1, -1)))
     fits = fit_patterns(readings, drawn, ground, any_contrast=True)
     return np.asarray(np.logaddexp.reduce(fits.logs, axis=1) + math.log(RECTANGLES_ODDS / number))
 

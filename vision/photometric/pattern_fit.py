@@ -13,13 +13,15 @@ maximisation. The contrast c is therefore that of the marker itself.
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.blur_model import gather
-from skyherd.vision.photometric.readings import MIN_CONTRAST, PARTS, Readings, on_marker, part_places
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import Floats, PatternConstants, PatternRequest
+from skyherd.vision.photometric.readings import MIN_CONTRAST, Readings, on_marker, part_places
 
 CARD_OUTLIERS, ZONE_OUTLIERS = 0.04, 0.3
 """Prior probability that a part is an outlier, on the marker and in the zone around it. Chosen: the zone is
@@ -59,9 +61,6 @@ Chosen."""
 RIDGE = 1e-6
 """Part of the normal matrix's diagonal that keeps it from being singular."""
 
-SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Places of the products of (1, x, y) with (1, x, y) among the six different ones."""
-
 
 @dataclass(frozen=True)
 class PatternFits:
@@ -71,13 +70,13 @@ class PatternFits:
         logs: (N, K) log likelihoods, with the priors of light and contrast; -inf without contrast.
         levels: (N, K, 6) b, c, g, h, p, q, grey levels.
         stds: (N, K) noise, in units of the candidate's range.
-        outliers: (N, K, parts) probability that a part is an outlier.
+        outlier_shares: (N, K) share of the parts on the marker that are outliers.
     """
 
     logs: Array
     levels: Array
     stds: Array
-    outliers: Array
+    outlier_shares: Array
 
 
 @dataclass(frozen=True)
@@ -86,12 +85,10 @@ class Columns:
 
     Attributes:
         places: (parts, 3) of 1, x and y.
-        squares: (parts, 6) their products.
         outlier_priors: (parts,) prior probabilities of an outlier.
     """
 
     places: Array
-    squares: Array
     outlier_priors: Array
 
 
@@ -101,72 +98,55 @@ def columns_of(n_cells: int) -> Columns:
     at = part_places(n_cells) / n_cells - 0.5
     x, y = (part.ravel() for part in np.meshgrid(at, at))
     ones = np.ones_like(x)
-    return Columns(
-        np.column_stack([ones, x, y]),
-        np.column_stack([ones, x, y, x * x, x * y, y * y]),
-        np.where(on_marker(n_cells), CARD_OUTLIERS, ZONE_OUTLIERS),
-    )
+    priors = np.where(on_marker(n_cells), CARD_OUTLIERS, ZONE_OUTLIERS)
+    return Columns(np.column_stack([ones, x, y]), priors)
 
 
 def fit_patterns(
-    readings: Readings, white: Array, ground: Array | None = None, *, any_contrast: bool = False
+    readings: Readings, white: Array | Floats, ground: Array | None = None, *, any_contrast: bool = False
 ) -> PatternFits:
-    """Fit levels and noise to patterns by expectation maximisation.
+    """Fit levels and noise to patterns by expectation maximisation (`vision/native/pattern_fit.c`).
 
     Args:
         readings: of N candidates.
         white: (N, K, parts) whiteness of K patterns for each.
-        ground: (N or 1, 1, parts) share of a ground with a level of its own; none if left out.
+        ground: (N or 1, parts) share of a ground with a level of its own; none if left out.
         any_contrast: whether the contrast need not explain the range of the readings.
     """
-    columns, on_card = columns_of(readings.n_cells), on_marker(readings.n_cells)
-    y = readings.levels[:, None] / readings.scales[:, None, None]
-    rounding = (ROUNDING_STD / readings.scales)[:, None]
-    seen = readings.seen[:, None]
-    share = np.broadcast_to(np.where(on_card, 1.0, FIRST_ZONE_SHARE) * seen, white.shape)
-    std = np.full(white.shape[:2], FIRST_STD)
-    for _ in range(ITERATIONS):
-        normal, right = _normal_equations(columns, share, white, y, ground)
-        ridge = (std / GRADIENT_STD) ** 2 * PARTS**2
-        for column in range(6):
-            normal[..., column, column] += ridge if column % 3 else RIDGE
-        levels = np.linalg.solve(normal, right[..., None])[..., 0]
-        light, factor = levels[..., :3] @ columns.places.T, levels[..., 3:6] @ columns.places.T
-        errors = y - light - white * factor - (0.0 if ground is None else levels[..., 6:] * ground)
-        used = share[..., on_card]
-        spread = (used * errors[..., on_card] ** 2).sum(axis=-1)
-        variance = (USUAL_STD_PARTS * USUAL_STD**2 + spread) / (USUAL_STD_PARTS + used.sum(axis=-1))
-        std = np.sqrt(variance + rounding**2)
-        bell, density = densities(errors, std[..., None], columns.outlier_priors)
-        share = seen * bell / density
-    logs = readings.weights[:, None] * (seen * np.log(density)).sum(axis=-1)
-    logs -= 0.5 * np.square(levels[..., [1, 2, 4, 5]] / GRADIENT_STD).sum(axis=-1)
-    grey = levels[..., [0, 3, 1, 2, 4, 5]] * readings.scales[:, None, None]
-    if not any_contrast:
-        short = np.log(np.maximum(grey[..., 1], MIN_CONTRAST) / readings.ranges[:, None])
-        logs -= 0.5 * np.square(np.minimum(short, 0.0) / LOG_CONTRAST_STD)
-    return PatternFits(np.where(grey[..., 1] >= MIN_CONTRAST, logs, -np.inf), grey, std, 1 - share)
+    request = PatternRequest(
+        levels=np.asarray(readings.levels, dtype=np.float32),
+        seen=np.asarray(readings.seen, dtype=np.float32),
+        scales=readings.scales,
+        weights=readings.weights,
+        ranges=readings.ranges,
+        patterns=np.ascontiguousarray(white, dtype=np.float32),
+        grounds=None if ground is None else np.ascontiguousarray(ground, dtype=np.float32),
+        constants=pattern_constants(),
+        n_cells=readings.n_cells,
+        any_contrast=any_contrast,
+    )
+    fits = library().fit_patterns(request)
+    return PatternFits(fits["logs"], fits["levels"], fits["stds"], fits["outlier_shares"])
 
 
-def _normal_equations(
-    columns: Columns, share: Array, white: Array, y: Array, ground: Array | None
-) -> tuple[Array, Array]:
-    """Return the weighted normal matrices (N, K, 6 or 7, …) and right sides of b, g, h, c, p, q and d."""
-    size = 6 if ground is None else 7
-    normal, right = np.zeros((*white.shape[:2], size, size)), np.zeros((*white.shape[:2], size))
-    shaded = share * white
-    places, squares = columns.places, columns.squares
-    normal[..., :3, :3] = (share @ squares)[..., SYMMETRIC]
-    normal[..., :3, 3:6] = normal[..., 3:6, :3] = (shaded @ squares)[..., SYMMETRIC]
-    normal[..., 3:6, 3:6] = ((shaded * white) @ squares)[..., SYMMETRIC]
-    right[..., :3], right[..., 3:6] = (share * y) @ places, (shaded * y) @ places
-    if ground is not None:
-        own = share * ground
-        normal[..., 6, :3] = normal[..., :3, 6] = own @ places
-        normal[..., 6, 3:6] = normal[..., 3:6, 6] = (own * white) @ places
-        normal[..., 6, 6] = (own * ground).sum(axis=-1) + RIDGE
-        right[..., 6] = (own * y).sum(axis=-1)
-    return normal, right
+@cache
+def pattern_constants() -> PatternConstants:
+    """Return the constants of the compiled fit."""
+    return PatternConstants(
+        card_outliers=CARD_OUTLIERS,
+        zone_outliers=ZONE_OUTLIERS,
+        outlier_range=OUTLIER_RANGE,
+        first_zone_share=FIRST_ZONE_SHARE,
+        usual_std=USUAL_STD,
+        usual_std_parts=USUAL_STD_PARTS,
+        first_std=FIRST_STD,
+        gradient_std=GRADIENT_STD,
+        log_contrast_std=LOG_CONTRAST_STD,
+        rounding_std=ROUNDING_STD,
+        ridge=RIDGE,
+        min_contrast=MIN_CONTRAST,
+        iterations=ITERATIONS,
+    )
 
 
 def densities(errors: Array, std: Array, outlier_priors: Array) -> tuple[Array, Array]:
@@ -175,7 +155,7 @@ def densities(errors: Array, std: Array, outlier_priors: Array) -> tuple[Array, 
     return bell, bell + outlier_priors / OUTLIER_RANGE
 
 
-def fit_cards(readings: Readings, white: Array) -> PatternFits:
+def fit_cards(readings: Readings, white: Array | Floats) -> PatternFits:
     """Fit as `fit_patterns`, to markers whose white zone may be narrow, so that the ground shows.
 
     The width of each candidate's card is the one with which its likeliest pattern is likeliest.
@@ -183,8 +163,8 @@ def fit_cards(readings: Readings, white: Array) -> PatternFits:
     wide = fit_patterns(readings, white)
     grounds = [_ground(readings.n_cells, width) for width in CARD_WIDTHS_CELLS]
     likeliest = white[np.arange(len(white)), wide.logs.argmax(axis=1)][:, None]
-    by_width = [fit_patterns(readings, likeliest, ground[None, None]).logs[:, 0] for ground in grounds]
-    chosen = np.stack(grounds)[np.argmax(by_width, axis=0)][:, None]
+    by_width = [fit_patterns(readings, likeliest, ground[None]).logs[:, 0] for ground in grounds]
+    chosen = np.stack(grounds)[np.argmax(by_width, axis=0)]
     narrow = fit_patterns(readings, white, chosen)
     logs = narrow.logs + math.log(NARROW_ODDS)
     better = logs > wide.logs
@@ -192,7 +172,7 @@ def fit_cards(readings: Readings, white: Array) -> PatternFits:
         np.logaddexp(wide.logs + math.log(1 - NARROW_ODDS), logs),
         np.where(better[..., None], narrow.levels, wide.levels),
         np.where(better, narrow.stds, wide.stds),
-        np.where(better[..., None], narrow.outliers, wide.outliers),
+        np.where(better, narrow.outlier_shares, wide.outlier_shares),
     )
 
 

@@ -6,24 +6,24 @@ import cv2
 import numpy as np
 import pytest
 from scipy.special import ndtr
+from tests.helpers import pattern_reference
+from tests.helpers.native_builds import builds
 
+from skyherd.errors import InputError
 from skyherd.markers.dictionary import marker_cells
 from skyherd.messages import Quality
 from skyherd.vision import PhotometricDetector
+from skyherd.vision.native.library import declared
 from skyherd.vision.photometric import likelihood, pattern_fit
 from skyherd.vision.photometric import readings as readings_module
 from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
 from skyherd.vision.photometric.measure import _weighed
 from skyherd.vision.photometric.pattern_fit import fit_patterns
 from skyherd.vision.photometric.readings import (
-    MIN_CONTRAST,
     PARTS,
     Readings,
     cell_edges,
-    draw_codes,
     exposed,
-    nearest_codes,
-    on_marker,
 )
 from skyherd.vision.search.edges import fit_edges
 
@@ -236,35 +236,53 @@ def test_shaded_half_of_a_marker_is_not_taken_for_black() -> None:
         assert odds.ids[0] == 8 or odds.log_odds[0] < min_log_odds("4X4_50")
 
 
-def test_levels_and_noise_agree_with_a_plain_reference() -> None:
-    """The batched sums against the module's formulas, written out for one candidate and one pattern."""
-    readings = Readings.read(noisy(card(marker_cells("4X4_50", 9)), 6), corners(6), 6)
-    *_, drawn = draw_codes(readings, nearest_codes(readings, "4X4_50"), "4X4_50")
-    fitted = fit_patterns(readings, drawn)
-    columns, scale, card_parts = pattern_fit.columns_of(6), readings.scales[0], on_marker(6)
-    y, prior = readings.levels[0] / scale, columns.outlier_priors
-    for k in range(drawn.shape[1]):
-        design = np.column_stack([columns.places, drawn[0, k][:, None] * columns.places])
-        share, std = np.where(card_parts, 1.0, pattern_fit.FIRST_ZONE_SHARE), pattern_fit.FIRST_STD
-        for _ in range(pattern_fit.ITERATIONS):
-            ridge = np.full(6, (std / pattern_fit.GRADIENT_STD) ** 2 * PARTS**2)
-            ridge[[0, 3]] = pattern_fit.RIDGE
-            normal = design.T @ (share[:, None] * design) + np.diag(ridge)
-            levels = np.linalg.solve(normal, design.T @ (share * y))
-            errors = y - design @ levels
-            used, count = share * card_parts, pattern_fit.USUAL_STD_PARTS
-            variance = (count * pattern_fit.USUAL_STD**2 + used @ errors**2) / (count + used.sum())
-            std = math.sqrt(variance + (pattern_fit.ROUNDING_STD / scale) ** 2)
-            bell = (1 - prior) * np.exp(-0.5 * (errors / std) ** 2) / (std * math.sqrt(2 * math.pi))
-            density = bell + prior / pattern_fit.OUTLIER_RANGE
-            share = bell / density
-        logs = readings.weights[0] * np.log(density).sum()
-        logs -= 0.5 * np.square(levels[[1, 2, 4, 5]] / pattern_fit.GRADIENT_STD).sum()
-        short = min(math.log(max(levels[3] * scale, MIN_CONTRAST) / readings.ranges[0]), 0.0)
-        logs -= 0.5 * (short / pattern_fit.LOG_CONTRAST_STD) ** 2
-        assert fitted.stds[0, k] == pytest.approx(std, rel=1e-9)
-        if levels[3] * scale >= MIN_CONTRAST:
-            assert fitted.logs[0, k] == pytest.approx(logs, rel=1e-9)
+def random_readings(n: int, count: int, each: int, rng: np.random.Generator) -> tuple[Readings, np.ndarray]:
+    """Readings of patterns under changing light, with outliers and glare, and `each` patterns for each."""
+    side = PARTS * (n + 2)
+    cells = rng.integers(0, 2, (count, each, n + 2, n + 2)).astype(float)
+    white = cv2.blur(np.kron(cells, np.ones((PARTS, PARTS))).reshape(-1, side, side).T, (3, 3)).T
+    white = np.ascontiguousarray(white).reshape(count, each, -1)
+    light = np.linspace(0.7, 1.3, side)[:, None] * np.linspace(0.9, 1.2, side)
+    levels = 40 + rng.uniform(2, 120, (count, 1)) * white[:, 0] * light.ravel()
+    levels += rng.normal(0, 5, levels.shape)
+    levels[rng.random(levels.shape) < 0.05] = 255
+    seen = (rng.random(levels.shape) > 0.1).astype(float)
+    weights, scales, ranges = rng.uniform(0.1, 0.4, count), rng.uniform(50, 200, count), np.full(count, 90.0)
+    return Readings(np.clip(np.rint(levels), 0, 255), weights, scales, ranges, seen), white
+
+
+@pytest.mark.parametrize("n", [3, 6, 8, 20])
+@pytest.mark.parametrize("grounds", [0, 1, 4])
+def test_fits_of_patterns_agree_with_the_reference(n: int, grounds: int) -> None:
+    """Single precision for the parts and double for the sums, against double precision."""
+    rng = np.random.default_rng([n, grounds])
+    readings, white = random_readings(n, 4, 5, rng)
+    ground = rng.random((grounds, white.shape[2])) if grounds else None
+    for any_contrast in (False, True):
+        fitted = fit_patterns(readings, white, ground, any_contrast=any_contrast)
+        expected = pattern_reference.fit_patterns(readings, white, ground, any_contrast=any_contrast)
+        assert np.array_equal(np.isfinite(fitted.logs), np.isfinite(expected.logs))
+        assert np.isfinite(fitted.logs[:, 0]).any()
+        for name in ("logs", "levels", "stds", "outlier_shares"):
+            np.testing.assert_allclose(getattr(fitted, name), getattr(expected, name), rtol=2e-5, atol=2e-4)
+
+
+def test_builds_fit_patterns_with_equal_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    readings, white = random_readings(8, 3, 4, np.random.default_rng(1))
+    ground, fitted = np.linspace(0, 1, white.shape[2])[None], []
+    for build in builds("vision", declared).values():
+        monkeypatch.setattr(pattern_fit, "library", lambda build=build: build)
+        fits = fit_patterns(readings, white, ground)
+        fitted.append([getattr(fits, name).tobytes() for name in vars(fits)])
+    assert all(one == fitted[0] for one in fitted)
+
+
+def test_fit_of_patterns_rejects_other_shapes() -> None:
+    readings, white = random_readings(6, 2, 3, np.random.default_rng(2))
+    with pytest.raises(InputError, match="patterns"):
+        fit_patterns(readings, white[..., 1:])
+    with pytest.raises(InputError, match="out of range"):
+        fit_patterns(readings, white, np.zeros((3, white.shape[2])))
 
 
 def spoilt(kind: str, seed: int) -> np.ndarray:

@@ -18,7 +18,7 @@ from skyherd.vision.detectors.registry import (
     detector_names,
     explain_mirrored,
 )
-from skyherd.vision.diagnosis.explain import Rejection, explain
+from skyherd.vision.diagnosis.explain import Rejection, detect_and_explain, explain
 from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
 from skyherd.vision.fusion.fuse import fuse_markers
@@ -44,6 +44,7 @@ __all__ = [
     "Rejection",
     "check_detector_name",
     "create_detector",
+    "detect_and_explain",
     "detections_of_corners",
     "detector_names",
     "explain",

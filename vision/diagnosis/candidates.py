@@ -146,20 +146,19 @@ def bright_groups(image: Image, dictionary: str) -> Array:
     """
     n, border = cells_per_side(dictionary), border_cells(dictionary)
     bits = n - 2 * border
-    rectangles: list[Array] = []
+    groups: list[Contour] = []
     smooth = np.asarray(cv2.GaussianBlur(image, (0, 0), 1.0), dtype=np.uint8)
     for window in BRIGHT_WINDOWS_PX:
         bright = cv2.adaptiveThreshold(
             smooth, 255, cv2.ADAPTIVE_THRESH_MEAN_C, cv2.THRESH_BINARY, window, -BRIGHTER
         )
         for closing in CLOSINGS_PX:
-            disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (closing, closing))
-            closed = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, disc)
+            square = np.ones((closing, closing), dtype=np.uint8)
+            closed = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, square)
             contours, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
             large = [c for c in contours if cv2.contourArea(c) > (MIN_CANDIDATE_SIDE_PX * bits / n) ** 2]
-            for contour in sorted(large, key=cv2.contourArea, reverse=True)[:MAX_GROUPS]:
-                rectangles += _rectangles_around(contour)
-    squares = _complete_bits(_stacked(rectangles), bits, border)
+            groups += sorted(large, key=cv2.contourArea, reverse=True)[:MAX_GROUPS]
+    squares = _complete_bits(_rectangles_around(groups), bits, border)
     return np.concatenate(
         [
             _with_dark_border(smooth, squares[first : first + SQUARES_AT_ONCE], n, border)
@@ -192,40 +191,55 @@ def _with_dark_border(image: Image, corners: Array, n: int, border: int) -> Arra
     return np.asarray(corners[dark & (white - black > BRIGHTER)])
 
 
-def _rectangles_around(contour: Contour) -> list[Array]:
-    """Return rectangles (4, 2), px, around a contour along the longer edges of its hull."""
-    hull = cv2.convexHull(contour)[:, 0, :].astype(float)
-    rectangles: list[Array] = []
-    for angle in _edge_angles(hull):
-        right = np.array([np.cos(angle), np.sin(angle)])
-        down = np.array([-right[1], right[0]])
-        across, along = hull @ right, hull @ down
-        # A contour runs through the middles of the outermost pixels.
-        left, top = (across.min() - 0.5) * right, (along.min() - 0.5) * down
-        across_px, along_px = (np.ptp(across) + 1.0) * right, (np.ptp(along) + 1.0) * down
-        first = left + top
-        rectangles.append(
-            np.array([first, first + across_px, first + across_px + along_px, first + along_px])
-        )
-    return rectangles
+def _rectangles_around(contours: list[Contour]) -> Array:
+    """Return rectangles (N, 4, 2), px, around contours along the longer edges of their hulls."""
+    hulls = [cv2.convexHull(contour) for contour in contours]
+    outlines = [cv2.approxPolyDP(hull, 1.5, True)[:, 0, :] for hull in hulls]
+    angles, kept = _edge_angles(outlines)
+    points = _padded([hull[:, 0, :] for hull in hulls], max(map(len, hulls), default=1))
+    right = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    down = np.stack([-right[..., 1], right[..., 0]], axis=-1)
+    # A contour runs through the middles of the outermost pixels.
+    (left, across), (top, along) = (
+        (places.min(axis=1) - 0.5, np.ptp(places, axis=1) + 1.0)
+        for places in (points @ axis.transpose(0, 2, 1) for axis in (right, down))
+    )
+    first = left[..., None] * right + top[..., None] * down
+    across_px, along_px = across[..., None] * right, along[..., None] * down
+    corners = [first, first + across_px, first + across_px + along_px, first + along_px]
+    return np.asarray(np.stack(corners, axis=2)[kept])
 
 
-def _edge_angles(hull: Array) -> list[float]:
-    """Directions of a convex hull's longer edges, within a quarter turn, those alike once."""
-    outline = cv2.approxPolyDP(hull.astype(np.float32)[:, None], 1.5, True)[:, 0, :]
-    edges = np.roll(outline, -1, axis=0) - outline
-    lengths = np.hypot(*edges.T)
-    angles: list[float] = []
-    for edge in edges[np.argsort(-lengths)][:MAX_EDGES]:
-        angle = math.atan2(edge[1], edge[0]) % (math.pi / 2)
-        if all(_between_axes(angle - other) > SAME_DIRECTION_RAD for other in angles):
-            angles.append(angle)
-    return angles
+def _edge_angles(outlines: list[Array]) -> tuple[Array, BoolArray]:
+    """Return directions (N, `MAX_EDGES`), rad, of the longest edges of outlines, within a quarter turn.
+
+    Also returned is which of them (N, `MAX_EDGES`) are unlike all longer ones, and edges at all.
+    """
+    ends = max(MAX_EDGES, *map(len, outlines), 1)
+    points = _padded(outlines, ends)
+    edges = np.roll(points, -1, axis=1) - points
+    lengths = np.hypot(edges[..., 0], edges[..., 1])
+    longest = np.argsort(-lengths, axis=1, kind="stable")[:, :MAX_EDGES]
+    edges, lengths = (np.take_along_axis(edges, longest[..., None], axis=1), np.sort(lengths, axis=1))
+    angles = np.arctan2(edges[..., 1], edges[..., 0]) % (math.pi / 2)
+    kept = lengths[:, ::-1][:, :MAX_EDGES] > 0
+    for later in range(1, angles.shape[1]):
+        near = _between_axes(angles[:, later, None] - angles[:, :later]) <= SAME_DIRECTION_RAD
+        kept[:, later] &= ~(near & kept[:, :later]).any(axis=1)
+    return angles, kept
 
 
-def _between_axes(turn_rad: float) -> float:
-    """Return the angle between two crosses of axes of which one is turned, rad, 0 to pi / 4."""
-    return abs((turn_rad + math.pi / 4) % (math.pi / 2) - math.pi / 4)
+def _padded(outlines: list[Array], count: int) -> Array:
+    """Return points (N, count, 2) of outlines (M, 2), the last of each repeated."""
+    points = np.empty((len(outlines), count, 2))
+    for row, outline in enumerate(outlines):
+        points[row, : len(outline)], points[row, len(outline) :] = outline, outline[-1]
+    return points
+
+
+def _between_axes(turn_rad: Array) -> Array:
+    """Return the angles between two crosses of axes of which one is turned, rad, 0 to pi / 4."""
+    return np.abs((turn_rad + math.pi / 4) % (math.pi / 2) - math.pi / 4)
 
 
 def _complete_bits(rectangles_px: Array, bits: int, border: int) -> Array:

@@ -15,7 +15,6 @@ import numpy as np
 from skyherd.geometry import Array
 from skyherd.markers.dictionary import card_side, cells_per_side, code_distance
 from skyherd.messages import Detections
-from skyherd.vision.detectors.registry import create_detector
 from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches, dark_shapes
 from skyherd.vision.diagnosis.places import first_of_each_place, lie_on_markers
 from skyherd.vision.diagnosis.quad_reading import Reading, read_outlines, read_quads, show_all_bits
@@ -32,6 +31,7 @@ from skyherd.vision.diagnosis.reasons import (
 )
 from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.grey import Image, check_grey
+from skyherd.vision.photometric.candidates import SearchPass
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
@@ -90,6 +90,28 @@ class Rejection:
         return np.asarray(self.corners_px.mean(axis=0))
 
 
+def detect_and_explain(
+    image: Image, dictionary: str, *, repeats: bool = False, time_s: float = 0.0
+) -> tuple[Detections, list[Rejection]]:
+    """Return what the default detector finds in a grey image, and what `explain` says of the rest.
+
+    The image is searched once for both.
+
+    Args:
+        image: grey, (height, width), uint8.
+        dictionary: name of the dictionary.
+        repeats: whether an id is reported at every place where it is found.
+        time_s: time of the image, s.
+
+    Raises:
+        InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
+    """
+    image, detector = check_grey(image), PhotometricDetector(dictionary, following=False, repeats=repeats)
+    searches = detector.searches(image)
+    found = detector.detections_of(image, searches, time_s=time_s)
+    return found, _explained(image, detector, searches, found)
+
+
 def explain(image: Image, dictionary: str, detections: Detections | None = None) -> list[Rejection]:
     """Return why each thing that looks like a marker in a grey image was not detected.
 
@@ -104,10 +126,21 @@ def explain(image: Image, dictionary: str, detections: Detections | None = None)
     Raises:
         InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
     """
-    image, detector = check_grey(image), PhotometricDetector(dictionary, following=False, repeats=True)
-    if detections is None:
-        detections = create_detector(dictionary=dictionary).detect(image)
-    suspects = sorted(_all_suspects(image, detector, detections), key=_rank, reverse=True)
+    image, detector = check_grey(image), PhotometricDetector(dictionary, following=False)
+    searches = detector.searches(image)
+    found = detector.detections_of(image, searches) if detections is None else detections
+    return _explained(image, detector, searches, found)
+
+
+def _explained(
+    image: Image,
+    detector: PhotometricDetector,
+    searches: tuple[SearchPass, SearchPass],
+    detections: Detections,
+) -> list[Rejection]:
+    """Return why each thing that looks like a marker was not detected, by both searches of the image."""
+    dictionary = detector.dictionary
+    suspects = sorted(_all_suspects(image, dictionary, searches, detections), key=_rank, reverse=True)
     suspects = [suspects[row] for row in first_of_each_place(_corners_px(suspects))]
     there = Counter(detections.ids.tolist())
     there.update(s.reading.nearest_id for s in suspects if s.good or _is_exact(s.reading))
@@ -146,13 +179,14 @@ def _corners_px(suspects: list[Suspect]) -> Array:
     return np.array([suspect.reading.corners_px for suspect in suspects]).reshape(-1, 4, 2)
 
 
-def _all_suspects(image: Image, detector: PhotometricDetector, detections: Detections) -> list[Suspect]:
+def _all_suspects(
+    image: Image, dictionary: str, searches: tuple[SearchPass, SearchPass], detections: Detections
+) -> list[Suspect]:
     """Return all that may be markers, apart from the detections.
 
     Candidates that reach the image's border and read with a fault are left out: it may be their outline.
     """
-    dictionary = detector.dictionary
-    first, second = detector.searches(image)
+    first, second = searches
     reaches_px = REACH * card_side(dictionary) * detections.sides_px
 
     def unknown(quads_px: Array) -> Array:

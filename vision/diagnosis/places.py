@@ -4,6 +4,9 @@ import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray
 
+QUADS_AT_ONCE = 256
+"""Quadrilaterals that are compared with all others at once. Chosen: bounds the memory."""
+
 
 def contain(quads_px: Array, points_px: Array) -> BoolArray:
     """Return whether quadrilaterals (..., 4, 2) contain points (..., 2), by the even-odd rule; broadcast."""
@@ -36,15 +39,31 @@ def first_of_each_place(quads_px: Array) -> IntArray:
 
     Two share a place if one contains the mean of the other's corners.
     """
-    middles_px = quads_px.mean(axis=1)
-    kept = np.zeros(len(quads_px), dtype=np.int64)
-    count = 0
-    for row in range(len(quads_px)):
-        earlier = kept[:count]
-        if not (
-            contain(quads_px[earlier], middles_px[row]).any()
-            or contain(quads_px[row], middles_px[earlier]).any()
-        ):
-            kept[count] = row
-            count += 1
-    return kept[:count]
+    one, other = _sharing(quads_px)
+    order = np.argsort(one, kind="stable")
+    one, other = one[order], other[order]
+    kept = np.ones(len(quads_px), dtype=bool)
+    rows, begins = np.unique(one, return_index=True)
+    for row, later in zip(rows.tolist(), np.split(other, begins)[1:], strict=True):
+        if kept[row]:
+            kept[later] = False
+    return np.flatnonzero(kept)
+
+
+def _sharing(quads_px: Array) -> tuple[IntArray, IntArray]:
+    """Return all pairs of quadrilaterals (N, 4, 2) that share a place: the earlier row (P,) and the later."""
+    middles_px, low_px, high_px = quads_px.mean(axis=1), quads_px.min(axis=1), quads_px.max(axis=1)
+    pairs = [np.zeros((2, 0), dtype=np.int64)]
+    for first in range(0, len(quads_px), QUADS_AT_ONCE):
+        part = slice(first, first + QUADS_AT_ONCE)
+        in_box = np.ones((len(middles_px[part]), len(middles_px)), dtype=bool)
+        for low, high, middle in zip(low_px[part].T, high_px[part].T, middles_px.T, strict=True):
+            in_box &= (low[:, None] <= middle) & (middle <= high[:, None])
+        around, inside = np.nonzero(in_box)
+        around += first
+        apart = around != inside
+        around, inside = around[apart], inside[apart]
+        contains = contain(quads_px[around], middles_px[inside])
+        pairs.append(np.stack([around[contains], inside[contains]]))
+    both = np.concatenate(pairs, axis=1)
+    return both.min(axis=0), both.max(axis=0)

@@ -129,8 +129,7 @@ class PhotometricDetector:
         is_amiss = followed.is_missing or not len(found.ids)
         if is_amiss or self._is_due(state.unsearched):
             state, searched = self._search(image, state, found.homographies, thoroughly=is_amiss)
-            found = found.joined(searched)
-            found = found.take(np.argsort(found.ids, kind="stable")) if self.repeats else unambiguous(found)
+            found = self._joined(found, searched)
         state = state.learned(found, state.plane, time_s)
         self.states[unit_id] = state
         return _detections(found, state.ratios.factors(), image, time_s, unit_id)
@@ -138,12 +137,20 @@ class PhotometricDetector:
     def searches(self, image: Image) -> tuple[SearchPass, SearchPass]:
         """Return both searches of a whole image without memory: the first one, and the fallback.
 
-        Nothing is learned. `detect` reports what both found in such an image, apart from repeated ids.
+        Nothing is learned; `detections_of` returns what both found.
 
         Raises:
             InputError: the image is not a grey one of 8 bits, or is empty.
         """
         return self._search_with_fallback(check_grey(image), CameraState(), self._none.homographies)
+
+    def detections_of(
+        self, image: Image, searches: tuple[SearchPass, SearchPass], *, time_s: float = 0.0, unit_id: int = 0
+    ) -> Detections:
+        """Return the markers that the `searches` of an image found, as `detect` does without memory."""
+        found, state = self._joined(*(one.found for one in searches)), CameraState()
+        state = state.learned(found, searches[1].plane, time_s)
+        return _detections(found, state.ratios.factors(), image, time_s, unit_id)
 
     def measure(self, image: Image, candidates: DecodedQuads) -> SearchPass:
         """Return candidates measured, each by itself, that the search need not have found.
@@ -165,6 +172,11 @@ class PhotometricDetector:
         `unsearched` is the number of images since the last search, with this one.
         """
         return unsearched >= SEARCH_INTERVAL
+
+    def _joined(self, one: FitResults, other: FitResults) -> FitResults:
+        """Return both in ascending order of id; an id at several places only if they are to be reported."""
+        found = one.joined(other)
+        return found.take(np.argsort(found.ids, kind="stable")) if self.repeats else unambiguous(found)
 
     def _search(
         self, image: Image, state: CameraState, followed: LocalHomographies, *, thoroughly: bool

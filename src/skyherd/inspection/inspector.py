@@ -37,9 +37,12 @@ from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.markers.dictionary import canonical_name, load_dictionary, with_border
 from skyherd.messages import Detections
 from skyherd.vision import (
+    DEFAULT_DETECTOR,
     DEFAULT_DICTIONARY,
     Detector,
+    Rejection,
     create_detector,
+    detect_and_explain,
     explain,
     find_dictionary,
     suggest,
@@ -251,7 +254,7 @@ class Inspector:
         self, detector: Detector, image: Grey, place: Place, result: FileResult, tables: list[Table]
     ) -> Detections:
         """Detect in one picture, write its rows, and count."""
-        found = detector.detect(image, time_s=place.time_s or 0.0)
+        found, result.rejections = self._detect(detector, image, result.dictionary, place.time_s or 0.0)
         result.frames += 1
         result.ids.update(found.ids.tolist())
         metric: Sequence[Row] = ()
@@ -260,12 +263,22 @@ class Inspector:
         for row in detection_rows(place, found, metric):
             tables[0].add(row)
         if self.explained:
-            dictionary = with_border(result.dictionary, self.border_bits)
-            result.rejections = explain(self._dark_on_light(image), dictionary, found)
             result.reasons.update(rejection.reason.value for rejection in result.rejections)
             for row in rejection_rows(place, result.rejections):
                 tables[1].add(row)
         return found
+
+    def _detect(
+        self, detector: Detector, image: Grey, dictionary: str, time_s: float
+    ) -> tuple[Detections, list[Rejection]]:
+        """Return the markers of one picture, and why others were rejected, if that is to be explained."""
+        if not self.explained:
+            return detector.detect(image, time_s=time_s), []
+        dictionary, dark_on_light = with_border(dictionary, self.border_bits), self._dark_on_light(image)
+        if self.detector == DEFAULT_DETECTOR:
+            return detect_and_explain(dark_on_light, dictionary, repeats=self.repeats, time_s=time_s)
+        found = detector.detect(image, time_s=time_s)
+        return found, explain(dark_on_light, dictionary, found)
 
 
 def _checked_side(side_m: float) -> float:

@@ -13,7 +13,7 @@ from skyherd.markers.dictionary import cells_per_side, code_distance, corners_of
 from skyherd.messages import Quality
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.vision import PhotometricDetector, create_detector
-from skyherd.vision.diagnosis.explain import Rejection, explain
+from skyherd.vision.diagnosis.explain import Rejection, detect_and_explain, explain
 from skyherd.vision.diagnosis.quad_reading import read_quads
 from skyherd.vision.diagnosis.reasons import (
     LEGIBLE_BLUR_CELLS,
@@ -95,6 +95,20 @@ def test_nothing_is_rejected_where_all_is_well(draw, dictionary) -> None:
     found = create_detector(dictionary=dictionary).detect(image)
     assert found.ids.tolist() == IDS
     assert explain(image, dictionary) == explain(image, dictionary, found) == []
+
+
+@pytest.mark.parametrize("repeats", [False, True])
+def test_one_search_detects_and_explains(draw, repeats) -> None:
+    """An id at two places, one of them shown too weakly, in one call as in two."""
+    image = draw(30, ids=[3, 7, 7, 21])
+    image[:100] = 200 - (200 - image[:100].astype(int)) // 25
+    found, rejected = detect_and_explain(image, DICTIONARY, repeats=repeats, time_s=2.0)
+    expected = create_detector(dictionary=DICTIONARY, repeats=repeats).detect(image, time_s=2.0)
+    assert found.time_s == 2.0 and found.ids.tolist() == expected.ids.tolist()
+    np.testing.assert_array_equal(found.centers_px, expected.centers_px)
+    np.testing.assert_array_equal(found.covariances, expected.covariances)
+    assert [r.words for r in rejected] == [r.words for r in explain(image, DICTIONARY, expected)]
+    assert rejected
 
 
 def test_explain_says_if_the_default_detector_finds_a_marker(draw) -> None:

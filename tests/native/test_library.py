@@ -73,6 +73,7 @@ def fuzz_vision(path, seed=0, images=150):
             image = np.ascontiguousarray(np.kron(image, np.ones((side, side), np.uint8))[:height, :width])
         places = np.full((height // 2, width // 2), 255, np.uint8)
         found += len(library.quads(image, places, search_parameters(range(3)))[0])
+        library.large_boundaries(image, int(rng.integers(0, 40)), int(rng.integers(0, 12)))
         if min(height, width) >= 4:
             gains = rng.normal(0, 10, (2, height // 4, width // 4)).astype(np.float32)
             gains[rng.random(gains.shape) < 0.1] = rng.choice([np.nan, np.inf, -1e38])
@@ -80,6 +81,7 @@ def fuzz_vision(path, seed=0, images=150):
     for size in [(1, 1), (1, 70), (70, 1), (0, 2), (-2, 2), (3, 4), (1 << 21, 2), (1 << 15, 1 << 15)]:
         assert library.functions.search_workspace_bytes(*size) == 0
         assert library.functions.search_quads(None, None, *size, None, None, 0, None, None, 0) < 0
+        assert library.functions.search_boundaries(None, *size, 8, 1, None, 0, None, 0, None, 0) < 0
     fuzz_patterns(library, rng)
     return found + fuzz_fit(library, rng)
 

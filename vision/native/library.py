@@ -101,6 +101,27 @@ class Library:
         found = check(self.functions.search_quads(*arguments, *results), ERRORS)
         return corners[:found].copy(), columns[:found].astype(np.int64)
 
+    def large_boundaries(self, image: Image, darker: int, min_side_px: int) -> list[npt.NDArray[np.int32]]:
+        """Return the outer boundaries (M, 2), px, of large regions that are darker than their surroundings.
+
+        Args:
+            image: grey, (height, width), even sides.
+            darker: by how many grey levels pixels are below the mean of a window of 21 px.
+            min_side_px: smallest width and height of a region, px.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is out of range.
+        """
+        check_plane("image", image, None)
+        (height, width), memory = image.shape, self._search_memory(image)
+        points = np.empty((4 * image.size, 2), dtype=np.int32)
+        counts = np.empty(image.size // max(min_side_px, 1) + 1, dtype=np.int32)
+        given = image.ctypes.data, width, height, darker, min_side_px, memory.ctypes.data, memory.size
+        results = points.ctypes.data, len(points), counts.ctypes.data, counts.size
+        found = check(self.functions.search_boundaries(*given, *results), ERRORS)
+        ends = np.cumsum(counts[:found])
+        return np.split(points[: ends[-1] if found else 0], ends[:-1]) if found else []
+
     def stretched(self, image: Image, gains: Floats, shifts: Floats, block_px: int) -> Image:
         """Return gains times grey levels plus shifts, rounded and within 0 to 255.
 
@@ -440,14 +461,15 @@ class Library:
     ) -> tuple[object, ...]:
         """Return the arguments that both functions of the search begin with."""
         check_plane("image", image, None)
-        height, width = image.shape
-        size = int(self.functions.search_workspace_bytes(width, height))
-        if not size:
-            check(-1, ERRORS)
+        (height, width), memory = image.shape, self._search_memory(image)
         check_plane("places", places, (height // 2, width // 2))
-        memory = _workspaces.of(size)
         pointers = image.ctypes.data, places.ctypes.data
         return *pointers, width, height, ctypes.byref(parameters), memory.ctypes.data, memory.size
+
+    def _search_memory(self, image: Image) -> Image:
+        """Return the workspace of a search of an image (height, width)."""
+        size = int(self.functions.search_workspace_bytes(*image.shape[::-1]))
+        return _workspaces.of(size or check(-1, ERRORS))
 
 
 def declared(functions: ctypes.CDLL) -> Library:
@@ -460,6 +482,17 @@ def declared(functions: ctypes.CDLL) -> Library:
         "search_workspace_bytes": (size, integer, integer),
         "search_mask": (integer, *search, pointer),
         "search_quads": (integer, *search, pointer, pointer, integer),
+        "search_boundaries": (
+            integer,
+            pointer,
+            *(integer,) * 4,
+            pointer,
+            size,
+            pointer,
+            long,
+            pointer,
+            integer,
+        ),
         "stretch": (integer, pointer, integer, integer, pointer, pointer, *(integer,) * 3, pointer, pointer),
         "count_pixels": (long, pointer, long, long, long),
         "list_pixels": (long, pointer, long, long, long, pointer, pointer, pointer, long),

@@ -102,8 +102,9 @@ static void sharpen(const uint8_t *restrict smooth, const uint8_t *restrict wide
     }
 }
 
-static void compare(const uint8_t *restrict small, const uint8_t *restrict large, const uint8_t *restrict sharp,
-                    uint8_t *restrict dark, int32_t width, int32_t darker) {
+/* Write the pixels of a row that are darker than the larger of two means. */
+void compare(const uint8_t *small, const uint8_t *large, const uint8_t *restrict sharp, uint8_t *restrict dark,
+             int32_t width, int32_t darker) {
     for (int32_t x = 0; x < width; x++) {
         const uint8_t mean = small[x] > large[x] ? small[x] : large[x];
         dark[x] = (int16_t)(mean - sharp[x]) > (int16_t)darker ? DARK : 0;

@@ -66,6 +66,13 @@ static void clear_border(const Mask *mask) {
     for (int32_t y = 0; y < mask->height; y++) mask_row(mask, y)[-1] = mask_row(mask, y)[mask->width] = 0;
 }
 
+static void begin(uint8_t *workspace, size_t workspace_bytes, int32_t width, int32_t height, Workspace *work) {
+    forbid(workspace, workspace_bytes);
+    lay_out(workspace + (ALIGNMENT - (uintptr_t)workspace % ALIGNMENT) % ALIGNMENT, width, height, work);
+    clear_border(&work->dark);
+    clear_border(&work->eroded);
+}
+
 /* Check the arguments, lay out the workspace, and threshold the image within its places. */
 static int prepare(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
                    const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes, Workspace *work) {
@@ -74,10 +81,7 @@ static int prepare(const uint8_t *image, const uint8_t *places, int32_t width, i
     if (parameters->first_erosions < 0 || parameters->last_erosions > 8 || parameters->darker < 0 ||
         parameters->darker > 255)
         return INVALID_PARAMETERS;
-    forbid(workspace, workspace_bytes);
-    lay_out(workspace + (ALIGNMENT - (uintptr_t)workspace % ALIGNMENT) % ALIGNMENT, width, height, work);
-    clear_border(&work->dark);
-    clear_border(&work->eroded);
+    begin(workspace, workspace_bytes, width, height, work);
     const int failed = threshold(image, width, height, parameters, work);
     if (!failed) keep_places(&work->dark, places, (uint8_t *)work->column_sums);
     return failed;
@@ -137,6 +141,40 @@ int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width,
         const double growth_px = parameters->growth_px + erosions * parameters->eroded_px;
         if (erosions >= parameters->first_erosions)
             found = append_quads(dark, growth_px, parameters, &work, corners, first_columns, found, max_quads);
+    }
+    return found;
+}
+
+/* Find the outer boundaries of large regions that are darker than the mean of their surroundings, a window of 21 px.
+ *
+ * Regions are at least min_side_px wide and high. The result is their number or an error: the points of all boundaries,
+ * one after the other, and their numbers, counts (N,). There is room for max_points and max_regions.
+ */
+int32_t search_boundaries(const uint8_t *image, int32_t width, int32_t height, int32_t darker, int32_t min_side_px,
+                          uint8_t *workspace, size_t workspace_bytes, Point *points, int64_t max_points,
+                          int32_t *counts, int32_t max_regions) {
+    Workspace work;
+    int32_t found = 0;
+    if (!valid_size(width, height) || workspace_bytes < search_workspace_bytes(width, height)) return INVALID_SIZE;
+    if (!image || !workspace || darker < 0 || darker > 255) return INVALID_PARAMETERS;
+    begin(workspace, workspace_bytes, width, height, &work);
+    box_mean(image, width, height, MAX_WINDOW_PX, work.wide, &work);
+    for (int32_t y = 0; y < height; y++) {
+        const ptrdiff_t at = (ptrdiff_t)y * width;
+        compare(work.wide + at, work.wide + at, image + at, mask_row(&work.dark, y), width, darker);
+    }
+    const int32_t count = find_regions(&work.dark, &work);
+    for (int32_t label = 0; label < count; label++) {
+        const Region *region = work.regions + label;
+        const int32_t wide = region->right - region->left + 1, high = region->bottom - region->top + 1;
+        if (region->parent != label || wide < min_side_px || high < min_side_px) continue;
+        Boundary boundary;
+        if (trace(&work.dark, region, &work, &boundary)) return TOO_MANY_RESULTS;
+        if (boundary.count > max_points || found >= max_regions) return TOO_MANY_RESULTS;
+        memcpy(points, boundary.points, (size_t)boundary.count * sizeof *points);
+        points += boundary.count;
+        max_points -= boundary.count;
+        counts[found++] = boundary.count;
     }
     return found;
 }

@@ -4,7 +4,7 @@
  *   1. means.c    adaptive threshold by running box sums, and erosion of the dark pixels
  *   2. regions.c  horizontal runs of dark pixels, joined to regions; the outer boundary of a region
  *   3. quads.c    four corner points on a boundary, a line through each side, their intersections
- * stretch() in stretch.c prepares an image for the search of faint markers.
+ * search_boundaries() uses steps 1 and 2 alone. stretch() in stretch.c prepares an image for the search of faint markers.
  *
  * Coordinates: x is the column, y the row (downwards). Planes are row-major. No function allocates memory: the caller
  * passes one workspace, whose size search_workspace_bytes() returns. The time is proportional to the number of pixels.
@@ -65,6 +65,8 @@ static inline uint8_t *mask_row(const Mask *mask, int32_t y) {
 int box_mean(const uint8_t *image, int32_t width, int32_t height, int32_t window_px, uint8_t *means, Workspace *work);
 int threshold(const uint8_t *image, int32_t width, int32_t height, const SearchParameters *parameters,
               Workspace *work);
+void compare(const uint8_t *small, const uint8_t *large, const uint8_t *sharp, uint8_t *dark, int32_t width,
+             int32_t darker);
 void keep_places(Mask *mask, const uint8_t *places, uint8_t *scratch);
 void erode(const Mask *mask, const Mask *eroded, uint8_t *scratch);
 
@@ -84,6 +86,9 @@ int32_t search_mask(const uint8_t *image, const uint8_t *places, int32_t width, 
 int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
                      const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes,
                      double *corners, int32_t *first_columns, int32_t max_quads);
+int32_t search_boundaries(const uint8_t *image, int32_t width, int32_t height, int32_t darker, int32_t min_side_px,
+                          uint8_t *workspace, size_t workspace_bytes, Point *points, int64_t max_points,
+                          int32_t *counts, int32_t max_regions);
 int32_t stretch(const uint8_t *image, int32_t width, int32_t height, const float *gains, const float *shifts,
                 int32_t columns, int32_t rows, int32_t block_px, float *memory, uint8_t *stretched);
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from skyherd.geometry import Array
 from skyherd.vision.grey import Image, block_means
+from skyherd.vision.native.library import library
 from skyherd.vision.search.quads import quads_of_places
 from skyherd.vision.search.regions import crowded_places
 
@@ -17,9 +18,9 @@ SHRINK = 2
 """Downsampling factor of the image that is searched. Chosen: at full size the search takes four times as
 long, a seventh of the detector's time on photographs."""
 
-SURROUNDINGS_PX, DARKER = 21, 8
-"""Window width of the threshold, px of the small image, and by how much dark pixels are below its mean, grey
-levels. Chosen as for the search of squares, of which the larger window fills thick borders."""
+DARKER = 8
+"""By how much dark pixels are below the mean of a window of 21 px, grey levels. Chosen as for the search of
+squares, whose larger window fills thick borders."""
 
 MIN_SIDE_PX = 10
 """Smallest width and height of a region, px of the small image. Chosen: a line as wide as the opening crosses
@@ -39,19 +40,19 @@ def find_crossed_quads(image: Image, known_px: Array) -> Array:
         known_px: (K, 4, 2) corners of squares, px, that need not be found again.
     """
     small = block_means(image, SHRINK)
+    small = np.ascontiguousarray(small[: small.shape[0] // 2 * 2, : small.shape[1] // 2 * 2])
     if min(small.shape) < MIN_SIDE_PX:
         return np.zeros((0, 4, 2))
     box = np.ones((OPENING_PX, OPENING_PX), dtype=np.uint8)
-    opened = cv2.morphologyEx(_large_regions(small), cv2.MORPH_OPEN, box)
+    opened = cv2.morphologyEx(large_regions(small), cv2.MORPH_OPEN, box)
     middle = (SHRINK - 1) / 2
     places = crowded_places(np.asarray(255 - opened, dtype=np.uint8), (known_px - middle) / SHRINK)
     return np.zeros((0, 4, 2)) if places is None else SHRINK * quads_of_places(places, range(1)) + middle
 
 
-def _large_regions(image: Image) -> Image:
-    """Return the dark regions of at least `MIN_SIDE_PX` without their holes, as 255."""
-    surroundings = cv2.blur(image, (SURROUNDINGS_PX, SURROUNDINGS_PX))
-    _, dark = cv2.threshold(cv2.subtract(surroundings, image), DARKER, 255, cv2.THRESH_BINARY)
-    outlines, _ = cv2.findContours(dark, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    large = [outline for outline in outlines if min(cv2.boundingRect(outline)[2:]) >= MIN_SIDE_PX]
-    return np.asarray(cv2.drawContours(np.zeros_like(image), large, -1, 255, cv2.FILLED), dtype=np.uint8)
+def large_regions(image: Image) -> Image:
+    """Return the dark regions of at least `MIN_SIDE_PX` without their holes, as 255; sides are even."""
+    filled = np.zeros_like(image)
+    for outline in library().large_boundaries(image, DARKER, MIN_SIDE_PX):
+        cv2.fillPoly(filled, [outline], 255)
+    return filled

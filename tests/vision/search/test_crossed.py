@@ -6,6 +6,7 @@ import pytest
 
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric import detector as stages
+from skyherd.vision.search import crossed as crossed_module
 from skyherd.vision.search.crossed import find_crossed_quads
 from skyherd.vision.search.quads import find_quads, find_small_quads
 
@@ -28,6 +29,24 @@ def crossed(place_markers, draw_markers):
     matrices = place_markers(MIDDLES, [0.1, 0.5, 0.9, 1.3], [SIDE_PX] * 4)
     given = {"noise": 1.0, "dictionary": DICTIONARY, "paint": strokes}
     return draw_markers(matrices, [1, 2, 3, 4], (260, 260), rng, **given)
+
+
+def test_large_regions_are_those_of_opencv():
+    """Noise, and blocks with others in their holes, filled region by region."""
+    rng = np.random.default_rng(7)
+    coarse = cv2.resize(
+        rng.integers(0, 256, (25, 40), dtype=np.uint8), (160, 100), interpolation=cv2.INTER_CUBIC
+    )
+    image = np.clip(coarse + rng.normal(0, 12, coarse.shape), 0, 255).astype(np.uint8)
+    cv2.rectangle(image, (20, 20), (80, 80), 0, 4)
+    cv2.rectangle(image, (40, 40), (55, 55), 0, cv2.FILLED)
+    dark = cv2.subtract(cv2.blur(image, (21, 21)), image) > crossed_module.DARKER
+    outlines, _ = cv2.findContours(dark.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    large = [one for one in outlines if min(cv2.boundingRect(one)[2:]) >= crossed_module.MIN_SIDE_PX]
+    expected = cv2.drawContours(np.zeros_like(image), large, -1, 255, cv2.FILLED)
+    assert 1 < len(large) < len(outlines)
+    np.testing.assert_array_equal(crossed_module.large_regions(image), expected)
+    assert crossed_module.large_regions(np.full((10, 12), 90, np.uint8)).max() == 0
 
 
 def found(quads: np.ndarray) -> int:

@@ -5,8 +5,10 @@ import numpy as np
 
 from skyherd.errors import InputError
 from skyherd.geometry import Array, ComplexArray, Image
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import Floats
 
-__all__ = ["Image", "block_means", "check_grey", "sample_grey"]
+__all__ = ["Image", "block_means", "check_grey", "sample_grey", "sample_squares"]
 
 MAX_ROWS = 30_000
 """Rows of points that are sampled at once. Derived: OpenCV takes less than 32768 rows and columns."""
@@ -53,3 +55,18 @@ def sample_grey(image: Image, points: ComplexArray) -> Array:
         rows = slice(first, first + MAX_ROWS)
         levels[rows] = cv2.remap(image, u[rows], v[rows], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(levels.reshape(points.shape))
+
+
+def sample_squares(image: Image, corners_px: Array, at: Array, fine: int = 1) -> Floats:
+    """Return grey levels (N, S, S) on a grid within quadrilaterals, by bilinear interpolation.
+
+    Places outside of the image read the nearest pixel of its border.
+
+    Args:
+        image: grey, (height, width).
+        corners_px: (N, 4, 2) images of the unit square's corners (0, 0), (1, 0), (1, 1) and (0, 1), px.
+        at: (S fine,) places along either axis of the square. They may lie beyond it.
+        fine: neighbouring places along either axis whose mean is a level.
+    """
+    corners_px = np.ascontiguousarray(corners_px, dtype=float)
+    return library().sampled_squares(np.ascontiguousarray(image), corners_px, np.asarray(at, float), fine)

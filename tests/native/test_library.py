@@ -74,6 +74,10 @@ def fuzz_vision(path, seed=0, images=150):
         places = np.full((height // 2, width // 2), 255, np.uint8)
         found += len(library.quads(image, places, search_parameters(range(3)))[0])
         library.large_boundaries(image, int(rng.integers(0, 40)), int(rng.integers(0, 12)))
+        quads = rng.uniform(-20, 90, (int(rng.integers(0, 4)), 4, 2))
+        quads[rng.random(quads.shape) < 0.1] = rng.choice([0.0, 1e300, np.inf, -np.inf, np.nan, 1e9])
+        fine, side = (int(value) for value in rng.integers(1, 4, 2))
+        library.sampled_squares(image, quads, rng.uniform(-1, 2, fine * side), fine)
         if min(height, width) >= 4:
             gains = rng.normal(0, 10, (2, height // 4, width // 4)).astype(np.float32)
             gains[rng.random(gains.shape) < 0.1] = rng.choice([np.nan, np.inf, -1e38])

@@ -132,7 +132,7 @@ class _Squares:
 def _read_squares(image: Image, quads_px: Array, cells: int, border_bits: int) -> _Squares:
     """Return the squares with a dark border of a width, and the bits of their inner cells."""
     n = cells + 2 * border_bits
-    levels = read_cells(image, to_complex(quads_px), n)
+    levels = read_cells(image, quads_px, n)
     is_border = np.ones((n, n), dtype=bool)
     is_border[border_bits:-border_bits, border_bits:-border_bits] = False
     outer, inner = levels[:, is_border.ravel()], levels[:, ~is_border.ravel()]

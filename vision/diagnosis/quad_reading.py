@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, BoolArray, IntArray, to_complex
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import border_cells, cells_per_side
 from skyherd.vision.blurred_cells import MIN_DEVIATION
 from skyherd.vision.diagnosis.templates import (
@@ -21,10 +21,9 @@ from skyherd.vision.diagnosis.templates import (
     blurred_levels,
     load_templates,
 )
-from skyherd.vision.grey import Image, sample_grey
+from skyherd.vision.grey import Image, sample_squares
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.row_record import RowRecord
-from skyherd.vision.search.decode import square_to_quads
 
 PER_CELL = 3
 """Samples of a cell along each axis on which likeness is measured. Chosen odd, so that one lies in the
@@ -200,12 +199,12 @@ def _sample(image: Image, quads_px: Array, n: int, at_cells: Array) -> Array:
         n: cells along a side.
         at_cells: (K,) places, in cells from the first corner on.
     """
-    corners, (height, width) = to_complex(quads_px), image.shape
+    height, width = image.shape
     around = ((np.arange(FINE) + 0.5) / FINE - 0.5) / PER_CELL
     fine, at = (at_cells[:, None] + around).ravel() / n, at_cells / n
-    grey = sample_grey(image, square_to_quads(corners, fine[None, :], fine[:, None]))
-    levels = grey.reshape(len(corners), at.size, FINE, at.size, FINE).mean(axis=(2, 4))
-    places = square_to_quads(corners, at[None, :], at[:, None])
+    levels = sample_squares(image, quads_px, fine, FINE)
+    grid = (at - 0.5) + 1j * (at[:, None] - 0.5)
+    places = LocalHomographies.of_quads(quads_px).images(grid.ravel()).reshape(levels.shape)
     inside = abs(places.real - (width - 1) / 2) < width / 2
     inside &= abs(places.imag - (height - 1) / 2) < height / 2
     return np.where(inside, levels, np.nan)

@@ -146,6 +146,27 @@ class Library:
         check(self.functions.stretch(image.ctypes.data, width, height, *factors, *size, *results), ERRORS)
         return made
 
+    def sampled_squares(self, image: Image, corners_px: Array, at: Array, fine: int) -> Floats:
+        """Return grey levels (N, side, side) on a grid within quadrilaterals, each a mean of `fine`² places.
+
+        Args:
+            image: grey, (height, width).
+            corners_px: (N, 4, 2) images of (0, 0), (1, 0), (1, 1) and (0, 1), px.
+            at: (fine * side,) places along either axis of the unit square.
+            fine: neighbouring places that count as one along either axis.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is empty.
+        """
+        check_plane("image", image, None)
+        (height, width), side, count = image.shape, at.size // max(fine, 1), len(corners_px)
+        levels = np.empty((count, side, side), dtype=np.float32)
+        corners = address("corners", corners_px, np.float64, (count, 4, 2))
+        places = address("places", at, np.float64, (fine * side,))
+        given = image.ctypes.data, width, height, corners, count, places, side, fine
+        check(self.functions.sample_squares(*given, levels.ctypes.data), ERRORS)
+        return levels
+
     def list_pixels(self, markers: npt.NDArray[np.void], shape: tuple[int, int]) -> MarkerRows:
         """Return the pixels of N markers (`MARKER`) in an image of a shape, with columns not filled in.
 
@@ -494,6 +515,10 @@ def declared(functions: ctypes.CDLL) -> Library:
             integer,
         ),
         "stretch": (integer, pointer, integer, integer, pointer, pointer, *(integer,) * 3, pointer, pointer),
+        "sample_squares": (
+            *(integer, pointer, integer, integer, pointer, long),
+            *(pointer, integer, integer, pointer),
+        ),
         "count_pixels": (long, pointer, long, long, long),
         "list_pixels": (long, pointer, long, long, long, pointer, pointer, pointer, long),
         "fill_round": (integer, scene, rows),

@@ -4,7 +4,8 @@
  *   1. means.c    adaptive threshold by running box sums, and erosion of the dark pixels
  *   2. regions.c  horizontal runs of dark pixels, joined to regions; the outer boundary of a region
  *   3. quads.c    four corner points on a boundary, a line through each side, their intersections
- * search_boundaries() uses steps 1 and 2 alone. stretch() in stretch.c prepares an image for the search of faint markers.
+ * search_boundaries() uses steps 1 and 2 alone. stretch() in stretch.c prepares an image for the search of faint markers,
+ * and sample_squares() in sampling.c reads what is within quadrilaterals.
  *
  * Coordinates: x is the column, y the row (downwards). Planes are row-major. No function allocates memory: the caller
  * passes one workspace, whose size search_workspace_bytes() returns. The time is proportional to the number of pixels.
@@ -89,6 +90,8 @@ int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width,
 int32_t search_boundaries(const uint8_t *image, int32_t width, int32_t height, int32_t darker, int32_t min_side_px,
                           uint8_t *workspace, size_t workspace_bytes, Point *points, int64_t max_points,
                           int32_t *counts, int32_t max_regions);
+int32_t sample_squares(const uint8_t *image, int32_t width, int32_t height, const double *corners, int64_t count,
+                       const double *at, int32_t side, int32_t fine, float *levels);
 int32_t stretch(const uint8_t *image, int32_t width, int32_t height, const float *gains, const float *shifts,
                 int32_t columns, int32_t rows, int32_t block_px, float *memory, uint8_t *stretched);
 

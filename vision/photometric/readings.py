@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, IntArray, to_complex
+from skyherd.geometry import Array, IntArray
 from skyherd.markers.blur_model import gather
 from skyherd.markers.dictionary import all_marker_cells
 from skyherd.vision.blurred_cells import standardised
-from skyherd.vision.grey import Image, block_means, sample_grey
+from skyherd.vision.grey import Image, block_means, sample_squares
 from skyherd.vision.row_record import RowRecord
-from skyherd.vision.search.decode import blurred_codes, square_to_quads
+from skyherd.vision.search.decode import blurred_codes
 
 PARTS = 3
 """Parts of a cell along its side. Chosen: two miss edges that lie within a cell, four take twice the time."""
@@ -276,9 +276,8 @@ def _levels(image: Image, corners_px: Array, n_cells: int) -> Array:
     for octave in np.unique(octaves):
         rows, shrink = np.flatnonzero(octaves == octave), 2 ** int(octave)
         small = image if shrink == 1 else block_means(image, shrink)
-        corners = to_complex((corners_px[rows] - (shrink - 1) / 2) / shrink)
+        corners = (corners_px[rows] - (shrink - 1) / 2) / shrink
         fine = 2 if parts_px[rows].max() / shrink > SINGLE_SAMPLE_PX else 1
         at = part_places(n_cells, fine) / n_cells
-        grey = sample_grey(small, square_to_quads(corners, at[None, :], at[:, None]))
-        levels[rows] = grey.reshape(-1, side, fine, side, fine).mean(axis=(2, 4)).reshape(len(rows), -1)
+        levels[rows] = sample_squares(small, corners, at, fine).reshape(len(rows), -1)
     return levels

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
-from skyherd.geometry import Array, ComplexArray, IntArray, to_complex
+from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.markers.dictionary import all_marker_cells, cells_per_side
 from skyherd.vision.blurred_cells import blurred_darkness, standardised
-from skyherd.vision.grey import sample_grey
+from skyherd.vision.grey import Image, sample_squares
+from skyherd.vision.native.records import Floats
 from skyherd.vision.row_record import RowRecord
 
 SAMPLES_PER_CELL = 2
@@ -40,9 +40,6 @@ little on the blur, and a smaller ratio needs more memory."""
 MIN_CELL_DEVIATION = 1.5
 """Smallest standard deviation of a quadrilateral's cells, grey levels. Chosen: uniform ground and noise have
 less."""
-
-MIN_DIVISOR = 1e-9
-"""Smallest magnitude of a divisor of homographies. Chosen far below that of any quadrilateral."""
 
 MIN_WHITE = 1.0
 """Smallest white level in the divisor of contrasts, grey levels. Chosen: markers are printed on white."""
@@ -71,9 +68,7 @@ def no_decoded_quads() -> DecodedQuads:
     return DecodedQuads(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0), np.zeros(0))
 
 
-def decode_quads(
-    image: npt.NDArray[np.uint8], quads_px: Array, dictionary: str, sigma_px: float
-) -> DecodedQuads:
+def decode_quads(image: Image, quads_px: Array, dictionary: str, sigma_px: float) -> DecodedQuads:
     """Return the quadrilaterals that correlate with a marker, each with its best marker.
 
     Several quadrilaterals may decode as the same marker. The result has a row for each of them.
@@ -88,7 +83,7 @@ def decode_quads(
         return no_decoded_quads()
     corners = to_complex(quads_px)
     n_cells = cells_per_side(dictionary)
-    cells = read_cells(image, corners, n_cells)
+    cells = read_cells(image, quads_px, n_cells)
     cells_px = np.abs(np.roll(corners, 1, axis=1) - corners).mean(axis=1) / n_cells
     usual = _most_alike(cells, dictionary, sigma_px / cells_px)
     blurred = _most_alike(cells, dictionary, np.full(cells_px.size, BLURRED_CELLS))
@@ -116,7 +111,7 @@ class _Likeness(RowRecord):
     print_contrasts: Array
 
 
-def _most_alike(cells: npt.NDArray[np.float32], dictionary: str, blurs_cells: Array) -> _Likeness:
+def _most_alike(cells: Floats, dictionary: str, blurs_cells: Array) -> _Likeness:
     """Return the best codes of cells (N, n²) under blurs (N,), standard deviations in cells."""
     mean, deviation = cells.mean(axis=1), cells.std(axis=1)
     best, likeness = np.empty(len(cells), dtype=np.int64), np.empty(len(cells))
@@ -142,7 +137,7 @@ class BlurredCodes:
         deviations: (4 x markers,) standard deviation of the darkness.
     """
 
-    patterns: npt.NDArray[np.float32]
+    patterns: Floats
     means: Array
     deviations: Array
 
@@ -168,29 +163,8 @@ def _codes(dictionary: str, bucket: int) -> BlurredCodes:
     return BlurredCodes(patterns, darkness.mean(axis=1), darkness.std(axis=1))
 
 
-def read_cells(image: npt.NDArray[np.uint8], corners: ComplexArray, n_cells: int) -> npt.NDArray[np.float32]:
-    """Return the grey levels (N, n²) of the cells in quadrilaterals (N, 4), row-major from corner 0."""
+def read_cells(image: Image, quads_px: Array, n_cells: int) -> Floats:
+    """Return the grey levels (N, n²) of the cells in quadrilaterals (N, 4, 2), row-major from corner 0."""
     samples = SAMPLES_PER_CELL
     at = (np.arange(samples * n_cells) + 0.5) / (samples * n_cells)
-    grey = sample_grey(image, square_to_quads(corners, at[None, :], at[:, None]))
-    cells = grey.reshape(-1, n_cells, samples, n_cells, samples).mean(axis=(2, 4), dtype=np.float32)
-    return np.asarray(cells.reshape(len(corners), -1))
-
-
-def square_to_quads(corners: ComplexArray, x: Array, y: Array) -> ComplexArray:
-    """Return the images (N, ...) of points of the unit square under homographies to quadrilaterals (N, 4)."""
-    first, second, third, fourth = (corner[:, None, None] for corner in corners.T)
-    a, b, c = second - third, fourth - third, first - second + third - fourth
-
-    def cross(p: ComplexArray, q: ComplexArray) -> Array:
-        return np.asarray((p.conj() * q).imag)
-
-    area = _away_from_zero(cross(a, b))
-    g, h = cross(c, b) / area, cross(a, c) / area
-    top = first + x * (second - first + g * second) + y * (fourth - first + h * fourth)
-    return np.asarray(top / _away_from_zero(1 + g * x + h * y))
-
-
-def _away_from_zero(values: Array) -> Array:
-    """Return values whose magnitude is at least `MIN_DIVISOR`: degenerate quadrilaterals read any pixel."""
-    return np.where(np.abs(values) < MIN_DIVISOR, MIN_DIVISOR, values)
+    return sample_squares(image, quads_px, at, samples).reshape(len(quads_px), n_cells**2)

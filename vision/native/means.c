@@ -128,13 +128,19 @@ int threshold(const uint8_t *image, int32_t width, int32_t height, const SearchP
     return 0;
 }
 
-/* Clear the pixels outside of the places, a plane of half the size. scratch (width,) is for work. */
-void keep_places(Mask *mask, const uint8_t *places, uint8_t *restrict scratch) {
+/* Write a row of places at twice the size. */
+static void double_row(const uint8_t *restrict places, uint16_t *restrict doubled, int32_t count) {
+    for (int32_t x = 0; x < count; x++) doubled[x] = (uint16_t)(places[x] * 257u);
+}
+
+/* Clear the pixels outside of the places, a plane of half the size. scratch (width / 2,) is for work. */
+void keep_places(Mask *mask, const uint8_t *places, uint16_t *scratch) {
+    const int32_t half = mask->width / 2;
+    const uint8_t *restrict kept = (const uint8_t *)scratch;
     for (int32_t y = 0; y < mask->height; y++) {
-        const uint8_t *restrict place = places + (ptrdiff_t)(y / 2) * (mask->width / 2);
+        if (y % 2 == 0) double_row(places + (ptrdiff_t)(y / 2) * half, scratch, half);
         uint8_t *restrict row = mask_row(mask, y);
-        for (int32_t x = 0; x < mask->width / 2 && y % 2 == 0; x++) scratch[2 * x] = scratch[2 * x + 1] = place[x];
-        for (int32_t x = 0; x < mask->width; x++) row[x] &= scratch[x];
+        for (int32_t x = 0; x < mask->width; x++) row[x] &= kept[x];
     }
 }
 

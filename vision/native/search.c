@@ -83,7 +83,7 @@ static int prepare(const uint8_t *image, const uint8_t *places, int32_t width, i
         return INVALID_PARAMETERS;
     begin(workspace, workspace_bytes, width, height, work);
     const int failed = threshold(image, width, height, parameters, work);
-    if (!failed) keep_places(&work->dark, places, (uint8_t *)work->column_sums);
+    if (!failed) keep_places(&work->dark, places, work->column_sums);
     return failed;
 }
 

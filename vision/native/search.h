@@ -68,7 +68,7 @@ int threshold(const uint8_t *image, int32_t width, int32_t height, const SearchP
               Workspace *work);
 void compare(const uint8_t *small, const uint8_t *large, const uint8_t *sharp, uint8_t *dark, int32_t width,
              int32_t darker);
-void keep_places(Mask *mask, const uint8_t *places, uint8_t *scratch);
+void keep_places(Mask *mask, const uint8_t *places, uint16_t *scratch);
 void erode(const Mask *mask, const Mask *eroded, uint8_t *scratch);
 
 /* regions.c */

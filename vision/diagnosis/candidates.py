@@ -193,10 +193,10 @@ def _with_dark_border(image: Image, corners: Array, n: int, border: int) -> Arra
 
 def _rectangles_around(contours: list[Contour]) -> Array:
     """Return rectangles (N, 4, 2), px, around contours along the longer edges of their hulls."""
-    hulls = [cv2.convexHull(contour) for contour in contours]
-    outlines = [cv2.approxPolyDP(hull, 1.5, True)[:, 0, :] for hull in hulls]
+    hulls: list[Contour] = [cv2.convexHull(contour) for contour in contours]
+    outlines: list[Contour] = [cv2.approxPolyDP(hull, 1.5, True) for hull in hulls]
     angles, kept = _edge_angles(outlines)
-    points = _padded([hull[:, 0, :] for hull in hulls], max(map(len, hulls), default=1))
+    points = _padded(hulls, max(map(len, hulls), default=1))
     right = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     down = np.stack([-right[..., 1], right[..., 0]], axis=-1)
     # A contour runs through the middles of the outermost pixels.
@@ -210,7 +210,7 @@ def _rectangles_around(contours: list[Contour]) -> Array:
     return np.asarray(np.stack(corners, axis=2)[kept])
 
 
-def _edge_angles(outlines: list[Array]) -> tuple[Array, BoolArray]:
+def _edge_angles(outlines: list[Contour]) -> tuple[Array, BoolArray]:
     """Return directions (N, `MAX_EDGES`), rad, of the longest edges of outlines, within a quarter turn.
 
     Also returned is which of them (N, `MAX_EDGES`) are unlike all longer ones, and edges at all.
@@ -229,11 +229,11 @@ def _edge_angles(outlines: list[Array]) -> tuple[Array, BoolArray]:
     return angles, kept
 
 
-def _padded(outlines: list[Array], count: int) -> Array:
-    """Return points (N, count, 2) of outlines (M, 2), the last of each repeated."""
+def _padded(outlines: list[Contour], count: int) -> Array:
+    """Return points (N, count, 2) of outlines (M, 1, 2), the last of each repeated."""
     points = np.empty((len(outlines), count, 2))
     for row, outline in enumerate(outlines):
-        points[row, : len(outline)], points[row, len(outline) :] = outline, outline[-1]
+        points[row, : len(outline)], points[row, len(outline) :] = outline[:, 0], outline[-1, 0]
     return points
 
 

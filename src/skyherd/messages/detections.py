@@ -196,6 +196,8 @@ class Detections:
     @property
     def repeated(self) -> BoolArray:
         """Mask (N,) of the detections with a repeated id, which are ambiguous."""
+        if len(set(self.ids.tolist())) == self.ids.size:  # as nearly always, and ten times as fast
+            return np.zeros(self.ids.size, dtype=bool)
         _, where, counts = np.unique(self.ids, return_inverse=True, return_counts=True)
         return np.asarray(counts[where] > 1)
 

@@ -130,13 +130,23 @@ class Readings(RowRecord):
     def read(cls, image: Image, corners_px: Array, n_cells: int) -> "Readings":
         """Return the readings of an image (height, width) at corners (N, 4, 2), px, clockwise as seen."""
         levels = _levels(image, corners_px, n_cells)
-        on_card = levels[:, on_marker(n_cells)]
         seen = (~_under_glare(levels, n_cells)).astype(float)
-        scales, ranges = (
-            np.maximum(np.ptp(np.quantile(values, ends, axis=1), axis=0), MIN_CONTRAST)
-            for values, ends in ((levels, QUANTILES), (on_card, CARD_QUANTILES))
-        )
-        return cls(levels, _weights(corners_px, n_cells), scales, ranges, seen)
+        return cls(levels, _weights(corners_px, n_cells), *_ranges(levels, n_cells), seen)
+
+    def with_levels(self, levels: Array) -> "Readings":
+        """Return these readings with other grey levels (N, parts)."""
+        scales, ranges = _ranges(levels, self.n_cells)
+        return replace(self, levels=levels, scales=scales, ranges=ranges)
+
+
+def _ranges(levels: Array, n_cells: int) -> tuple[Array, Array]:
+    """Return the ranges (N,) of all levels (N, parts), and of those on the card."""
+    on_card = levels[:, on_marker(n_cells)]
+    all_of_them, of_card = (
+        np.maximum(np.ptp(np.quantile(values, ends, axis=1), axis=0), MIN_CONTRAST)
+        for values, ends in ((levels, QUANTILES), (on_card, CARD_QUANTILES))
+    )
+    return all_of_them, of_card
 
 
 def _under_glare(levels: Array, n_cells: int) -> npt.NDArray[np.bool_]:

@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from skyherd.vision.native.pattern_records import PARTS
 from skyherd.vision.photometric import pattern_fit
 from skyherd.vision.photometric.pattern_fit import PatternFits, columns_of, densities
-from skyherd.vision.photometric.readings import MIN_CONTRAST, PARTS, on_marker
+from skyherd.vision.photometric.readings import MIN_CONTRAST, on_marker
 
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 """Places of the products of (1, x, y) with (1, x, y) among the six different ones."""

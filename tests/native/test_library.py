@@ -92,7 +92,7 @@ def fuzz_vision(path, seed=0, images=150):
 
 def fuzz_patterns(library, rng, requests=60):
     """Fit random patterns to random readings, of grids of 1 to 20 cells, some with absurd numbers."""
-    from skyherd.vision.native.records import PatternRequest
+    from skyherd.vision.native.pattern_records import PatternRequest
     from skyherd.vision.photometric.pattern_fit import pattern_constants
 
     for _ in range(requests):

@@ -1,7 +1,6 @@
 """Typed functions of the compiled library of vision, which check their arguments."""
 
 import ctypes
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -11,161 +10,32 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, ComplexArray, Image, IntArray
 from skyherd.native.arguments import address, check, check_plane
-from skyherd.native.loading import declare, library_of
+from skyherd.native.loading import Signature, declare, library_of
 from skyherd.vision.native.follow_records import FollowRequest, FollowResults
+from skyherd.vision.native.pattern_records import PATTERN_FIT, PatternRequest
 from skyherd.vision.native.records import (
     COLUMNS,
     ERRORS,
     FIT,
     MARKER,
     MAX_SECOND_DIFFERENCE,
-    PATTERN_FIT,
     PLANE,
     UNKNOWNS,
     FitRequest,
     Floats,
     MarkerRows,
-    PatternRequest,
     PlaneLimits,
     Rows,
     Scene,
-    SearchParameters,
     VisibleRequest,
     scene_structure,
 )
-
-PIXELS_PER_QUAD = 8
-"""Pixels of an image for each quadrilateral that the result has room for. Derived: the boundary of a region
-that counts has 20 points, and visits a pixel at most twice along a line of one pixel."""
-
-
-class _Workspaces(threading.local):
-    """Memory for the library, one array for each thread, kept between calls."""
-
-    memory = np.zeros(0, dtype=np.uint8)
-
-    def of(self, size: int) -> Image:
-        """Return at least `size` bytes. Pages that the library does not write take no memory."""
-        if self.memory.size < size:
-            self.memory = np.empty(size, dtype=np.uint8)
-        return self.memory
-
-
-_workspaces = _Workspaces()
+from skyherd.vision.native.search_library import SearchFunctions, search_signatures
 
 
 @dataclass(frozen=True)
-class Library:
-    """One loaded build of the library.
-
-    Attributes:
-        functions: the shared library, its functions with argument and result types.
-    """
-
-    functions: ctypes.CDLL
-
-    def dark_mask(self, image: Image, places: Image, parameters: SearchParameters) -> Image:
-        """Return the dark pixels of an image within its places as 255.
-
-        Args:
-            image: grey, (height, width), even sides.
-            places: (height / 2, width / 2), 255 where the image is searched.
-            parameters: of the search.
-
-        Raises:
-            InputError: an argument has another type, shape or memory layout, or an invalid parameter.
-        """
-        arguments = self._search_arguments(image, places, parameters)
-        dark = np.empty(image.shape, dtype=np.uint8)
-        check(self.functions.search_mask(*arguments, dark.ctypes.data), ERRORS)
-        return dark
-
-    def quads(self, image: Image, places: Image, parameters: SearchParameters) -> tuple[Array, IntArray]:
-        """Return the dark quadrilaterals of an image within its places.
-
-        Args:
-            image: grey, (height, width), even sides.
-            places: (height / 2, width / 2), 255 where the image is searched.
-            parameters: of the search.
-
-        Returns:
-            Corners (N, 4, 2), px, clockwise in the image, and the column (N,) of a pixel of each region.
-
-        Raises:
-            InputError: an argument has another type, shape or memory layout, or an invalid parameter.
-        """
-        arguments = self._search_arguments(image, places, parameters)
-        room = image.size // PIXELS_PER_QUAD * (parameters.last_erosions + 1) + 1
-        corners, columns = np.empty((room, 4, 2)), np.empty(room, dtype=np.int32)
-        results = corners.ctypes.data, columns.ctypes.data, room
-        found = check(self.functions.search_quads(*arguments, *results), ERRORS)
-        return corners[:found].copy(), columns[:found].astype(np.int64)
-
-    def large_boundaries(self, image: Image, darker: int, min_side_px: int) -> list[npt.NDArray[np.int32]]:
-        """Return the outer boundaries (M, 2), px, of large regions that are darker than their surroundings.
-
-        Args:
-            image: grey, (height, width), even sides.
-            darker: by how many grey levels pixels are below the mean of a window of 21 px.
-            min_side_px: smallest width and height of a region, px.
-
-        Raises:
-            InputError: an argument has another type, shape or memory layout, or is out of range.
-        """
-        check_plane("image", image, None)
-        (height, width), memory = image.shape, self._search_memory(image)
-        points = np.empty((4 * image.size, 2), dtype=np.int32)
-        counts = np.empty(image.size // max(min_side_px, 1) + 1, dtype=np.int32)
-        given = image.ctypes.data, width, height, darker, min_side_px, memory.ctypes.data, memory.size
-        results = points.ctypes.data, len(points), counts.ctypes.data, counts.size
-        found = check(self.functions.search_boundaries(*given, *results), ERRORS)
-        ends = np.cumsum(counts[:found])
-        return np.split(points[: ends[-1] if found else 0], ends[:-1]) if found else []
-
-    def stretched(self, image: Image, gains: Floats, shifts: Floats, block_px: int) -> Image:
-        """Return gains times grey levels plus shifts, rounded and within 0 to 255.
-
-        Args:
-            image: grey, (height, width).
-            gains: (rows, columns) of blocks of pixels, bilinear between the blocks' centres.
-            shifts: (rows, columns) grey levels, likewise.
-            block_px: side of a block, px.
-
-        Raises:
-            InputError: an argument has another type, shape or memory layout, or is empty.
-        """
-        check_plane("image", image, None)
-        factors = (
-            address(name, of_blocks, np.float32, gains.shape)
-            for name, of_blocks in (("gains", gains), ("shifts", shifts))
-        )
-        (height, width), (rows, columns) = image.shape, gains.shape
-        memory, made = np.empty((4, width), dtype=np.float32), np.empty_like(image)
-        size = columns, rows, block_px
-        results = memory.ctypes.data, made.ctypes.data
-        check(self.functions.stretch(image.ctypes.data, width, height, *factors, *size, *results), ERRORS)
-        return made
-
-    def sampled_squares(self, image: Image, corners_px: Array, at: Array, fine: int) -> Floats:
-        """Return grey levels (N, side, side) on a grid within quadrilaterals, each a mean of `fine`² places.
-
-        Args:
-            image: grey, (height, width).
-            corners_px: (N, 4, 2) images of (0, 0), (1, 0), (1, 1) and (0, 1), px.
-            at: (fine * side,) places along either axis of the unit square.
-            fine: neighbouring places that count as one along either axis.
-
-        Raises:
-            InputError: an argument has another type, shape or memory layout, or is empty.
-        """
-        check_plane("image", image, None)
-        (height, width), side, count = image.shape, at.size // max(fine, 1), len(corners_px)
-        levels = np.empty((count, side, side), dtype=np.float32)
-        corners = address("corners", corners_px, np.float64, (count, 4, 2))
-        places = address("places", at, np.float64, (fine * side,))
-        given = image.ctypes.data, width, height, corners, count, places, side, fine
-        check(self.functions.sample_squares(*given, levels.ctypes.data), ERRORS)
-        return levels
+class Library(SearchFunctions):
+    """One loaded build of the library, with all of its functions."""
 
     def list_pixels(self, markers: npt.NDArray[np.void], shape: tuple[int, int]) -> MarkerRows:
         """Return the pixels of N markers (`MARKER`) in an image of a shape, with columns not filled in.
@@ -477,48 +347,13 @@ class Library:
         check(function(ctypes.byref(given), known, *results), ERRORS)
         return fits, means
 
-    def _search_arguments(
-        self, image: Image, places: Image, parameters: SearchParameters
-    ) -> tuple[object, ...]:
-        """Return the arguments that both functions of the search begin with."""
-        check_plane("image", image, None)
-        (height, width), memory = image.shape, self._search_memory(image)
-        check_plane("places", places, (height // 2, width // 2))
-        pointers = image.ctypes.data, places.ctypes.data
-        return *pointers, width, height, ctypes.byref(parameters), memory.ctypes.data, memory.size
-
-    def _search_memory(self, image: Image) -> Image:
-        """Return the workspace of a search of an image (height, width)."""
-        size = int(self.functions.search_workspace_bytes(*image.shape[::-1]))
-        return _workspaces.of(size or check(-1, ERRORS))
-
 
 def declared(functions: ctypes.CDLL) -> Library:
     """Return a loaded library with the types of its functions declared."""
-    pointer, size, integer, long = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int32, ctypes.c_int64
+    pointer, integer, long = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64
     scene, rows = ctypes.POINTER(Scene), ctypes.POINTER(Rows)
-    parameters = ctypes.POINTER(SearchParameters)
-    search = (pointer, pointer, integer, integer, parameters, pointer, size)
-    signatures = {
-        "search_workspace_bytes": (size, integer, integer),
-        "search_mask": (integer, *search, pointer),
-        "search_quads": (integer, *search, pointer, pointer, integer),
-        "search_boundaries": (
-            integer,
-            pointer,
-            *(integer,) * 4,
-            pointer,
-            size,
-            pointer,
-            long,
-            pointer,
-            integer,
-        ),
-        "stretch": (integer, pointer, integer, integer, pointer, pointer, *(integer,) * 3, pointer, pointer),
-        "sample_squares": (
-            *(integer, pointer, integer, integer, pointer, long),
-            *(pointer, integer, integer, pointer),
-        ),
+    signatures: dict[str, Signature] = {
+        **search_signatures(),
         "count_pixels": (long, pointer, long, long, long),
         "list_pixels": (long, pointer, long, long, long, pointer, pointer, pointer, long),
         "fill_round": (integer, scene, rows),

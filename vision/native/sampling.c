@@ -3,6 +3,8 @@
 
 #include <math.h>
 
+enum { MAX_PLACES = 1 << 15 }; /* along either axis: a grid's levels are counted in 32 bits */
+
 static const double MIN_DIVISOR = 1e-9; /* smallest magnitude of a divisor: degenerate quadrilaterals read any pixel */
 
 typedef struct { double u, v; } Place;
@@ -45,7 +47,7 @@ static inline float grey_at(const uint8_t *image, int32_t width, int32_t height,
 int32_t sample_squares(const uint8_t *image, int32_t width, int32_t height, const double *corners, int64_t count,
                        const double *at, int32_t side, int32_t fine, float *levels) {
     if (width <= 0 || height <= 0 || width > MAX_SIDE_PX || height > MAX_SIDE_PX || count < 0) return INVALID_SIZE;
-    if (side <= 0 || fine <= 0 || side > MAX_SIDE_PX / fine) return INVALID_PARAMETERS;
+    if (side <= 0 || fine <= 0 || side > MAX_PLACES / fine) return INVALID_PARAMETERS;
     for (int64_t k = 0; k < count; k++) {
         const ToImage to = to_quad(corners + 8 * k);
         for (int32_t cell = 0; cell < side * side; cell++) {

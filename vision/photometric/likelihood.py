@@ -24,10 +24,10 @@ from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.blur_model import gather, normal_cdf
 from skyherd.markers.dictionary import border_cells, cells_per_side, dictionary_size
 from skyherd.vision.grey import Image
+from skyherd.vision.native.pattern_records import PARTS
 from skyherd.vision.photometric.pattern_fit import columns_of, densities, fit_cards, fit_patterns, whiteness
 from skyherd.vision.photometric.readings import (
     BLURS_CELLS,
-    PARTS,
     Readings,
     black_cells,
     cell_edges,

@@ -20,7 +20,8 @@ import numpy as np
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.blur_model import gather
 from skyherd.vision.native.library import library
-from skyherd.vision.native.records import Floats, PatternConstants, PatternRequest
+from skyherd.vision.native.pattern_records import PatternConstants, PatternRequest
+from skyherd.vision.native.records import Floats
 from skyherd.vision.photometric.readings import MIN_CONTRAST, Readings, on_marker, part_places
 
 CARD_OUTLIERS, ZONE_OUTLIERS = 0.04, 0.3

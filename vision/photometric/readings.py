@@ -19,11 +19,9 @@ from skyherd.markers.blur_model import gather
 from skyherd.markers.dictionary import all_marker_cells
 from skyherd.vision.blurred_cells import standardised
 from skyherd.vision.grey import Image, block_means, sample_squares
+from skyherd.vision.native.pattern_records import PARTS
 from skyherd.vision.row_record import RowRecord
 from skyherd.vision.search.decode import blurred_codes
-
-PARTS = 3
-"""Parts of a cell along its side. Chosen: two miss edges that lie within a cell, four take twice the time."""
 
 MAX_READINGS, PX2_PER_READING = 3.0, 4.0
 """Independent readings of a cell at most, and pixels for each. Chosen: errors of a model are alike over a

@@ -14,13 +14,13 @@ from skyherd.markers.dictionary import marker_cells
 from skyherd.messages import Quality
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.native.library import declared
+from skyherd.vision.native.pattern_records import PARTS
 from skyherd.vision.photometric import likelihood, pattern_fit
 from skyherd.vision.photometric import readings as readings_module
 from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
 from skyherd.vision.photometric.measure import _weighed
 from skyherd.vision.photometric.pattern_fit import fit_patterns
 from skyherd.vision.photometric.readings import (
-    PARTS,
     Readings,
     cell_edges,
     exposed,

@@ -1,0 +1,185 @@
+"""Typed functions of the compiled search and of the reading of images, which check their arguments."""
+
+import ctypes
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from skyherd.geometry import Array, Image, IntArray
+from skyherd.native.arguments import address, check, check_plane
+from skyherd.native.loading import Signature
+from skyherd.vision.native.records import ERRORS, Floats, SearchParameters
+
+PIXELS_PER_QUAD = 8
+"""Pixels of an image for each quadrilateral that the result has room for. Derived: the boundary of a region
+that counts has 20 points, and visits a pixel at most twice along a line of one pixel."""
+
+
+class _Workspaces(threading.local):
+    """Memory for the library, one array for each thread, kept between calls."""
+
+    memory = np.zeros(0, dtype=np.uint8)
+
+    def of(self, size: int) -> Image:
+        """Return at least `size` bytes. Pages that the library does not write take no memory."""
+        if self.memory.size < size:
+            self.memory = np.empty(size, dtype=np.uint8)
+        return self.memory
+
+
+_workspaces = _Workspaces()
+
+
+@dataclass(frozen=True)
+class SearchFunctions:
+    """Functions of `search.h` in one loaded build of the library.
+
+    Attributes:
+        functions: the shared library, its functions with argument and result types.
+    """
+
+    functions: ctypes.CDLL
+
+    def dark_mask(self, image: Image, places: Image, parameters: SearchParameters) -> Image:
+        """Return the dark pixels of an image within its places as 255.
+
+        Args:
+            image: grey, (height, width), even sides.
+            places: (height / 2, width / 2), 255 where the image is searched.
+            parameters: of the search.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or an invalid parameter.
+        """
+        arguments = self._search_arguments(image, places, parameters)
+        dark = np.empty(image.shape, dtype=np.uint8)
+        check(self.functions.search_mask(*arguments, dark.ctypes.data), ERRORS)
+        return dark
+
+    def quads(self, image: Image, places: Image, parameters: SearchParameters) -> tuple[Array, IntArray]:
+        """Return the dark quadrilaterals of an image within its places.
+
+        Args:
+            image: grey, (height, width), even sides.
+            places: (height / 2, width / 2), 255 where the image is searched.
+            parameters: of the search.
+
+        Returns:
+            Corners (N, 4, 2), px, clockwise in the image, and the column (N,) of a pixel of each region.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or an invalid parameter.
+        """
+        arguments = self._search_arguments(image, places, parameters)
+        room = image.size // PIXELS_PER_QUAD * (parameters.last_erosions + 1) + 1
+        corners, columns = np.empty((room, 4, 2)), np.empty(room, dtype=np.int32)
+        results = corners.ctypes.data, columns.ctypes.data, room
+        found = check(self.functions.search_quads(*arguments, *results), ERRORS)
+        return corners[:found].copy(), columns[:found].astype(np.int64)
+
+    def large_boundaries(self, image: Image, darker: int, min_side_px: int) -> list[npt.NDArray[np.int32]]:
+        """Return the outer boundaries (M, 2), px, of large regions that are darker than their surroundings.
+
+        Args:
+            image: grey, (height, width), even sides.
+            darker: by how many grey levels pixels are below the mean of a window of 21 px.
+            min_side_px: smallest width and height of a region, px.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is out of range.
+        """
+        check_plane("image", image, None)
+        (height, width), memory = image.shape, self._search_memory(image)
+        points = np.empty((4 * image.size, 2), dtype=np.int32)
+        counts = np.empty(image.size // max(min_side_px, 1) + 1, dtype=np.int32)
+        given = image.ctypes.data, width, height, darker, min_side_px, memory.ctypes.data, memory.size
+        results = points.ctypes.data, len(points), counts.ctypes.data, counts.size
+        found = check(self.functions.search_boundaries(*given, *results), ERRORS)
+        ends = np.cumsum(counts[:found])
+        return np.split(points[: ends[-1] if found else 0], ends[:-1]) if found else []
+
+    def stretched(self, image: Image, gains: Floats, shifts: Floats, block_px: int) -> Image:
+        """Return gains times grey levels plus shifts, rounded and within 0 to 255.
+
+        Args:
+            image: grey, (height, width).
+            gains: (rows, columns) of blocks of pixels, bilinear between the blocks' centres.
+            shifts: (rows, columns) grey levels, likewise.
+            block_px: side of a block, px.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is empty.
+        """
+        check_plane("image", image, None)
+        factors = (
+            address(name, of_blocks, np.float32, gains.shape)
+            for name, of_blocks in (("gains", gains), ("shifts", shifts))
+        )
+        (height, width), (rows, columns) = image.shape, gains.shape
+        memory, made = np.empty((4, width), dtype=np.float32), np.empty_like(image)
+        size = columns, rows, block_px
+        results = memory.ctypes.data, made.ctypes.data
+        check(self.functions.stretch(image.ctypes.data, width, height, *factors, *size, *results), ERRORS)
+        return made
+
+    def sampled_squares(self, image: Image, corners_px: Array, at: Array, fine: int) -> Floats:
+        """Return grey levels (N, side, side) on a grid within quadrilaterals, each a mean of `fine`² places.
+
+        Args:
+            image: grey, (height, width).
+            corners_px: (N, 4, 2) images of (0, 0), (1, 0), (1, 1) and (0, 1), px.
+            at: (fine * side,) places along either axis of the unit square.
+            fine: neighbouring places that count as one along either axis.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is empty.
+        """
+        check_plane("image", image, None)
+        (height, width), side, count = image.shape, at.size // max(fine, 1), len(corners_px)
+        levels = np.empty((count, side, side), dtype=np.float32)
+        corners = address("corners", corners_px, np.float64, (count, 4, 2))
+        places = address("places", at, np.float64, (fine * side,))
+        given = image.ctypes.data, width, height, corners, count, places, side, fine
+        check(self.functions.sample_squares(*given, levels.ctypes.data), ERRORS)
+        return levels
+
+    def _search_arguments(
+        self, image: Image, places: Image, parameters: SearchParameters
+    ) -> tuple[object, ...]:
+        """Return the arguments that both functions of the search begin with."""
+        check_plane("image", image, None)
+        (height, width), memory = image.shape, self._search_memory(image)
+        check_plane("places", places, (height // 2, width // 2))
+        pointers = image.ctypes.data, places.ctypes.data
+        return *pointers, width, height, ctypes.byref(parameters), memory.ctypes.data, memory.size
+
+    def _search_memory(self, image: Image) -> Image:
+        """Return the workspace of a search of an image (height, width)."""
+        size = int(self.functions.search_workspace_bytes(*image.shape[::-1]))
+        return _workspaces.of(size or check(-1, ERRORS))
+
+
+def search_signatures() -> dict[str, Signature]:
+    """Return the types of the functions of `search.h`, by their names."""
+    pointer, size, integer, long = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int32, ctypes.c_int64
+    search = (pointer, pointer, integer, integer, ctypes.POINTER(SearchParameters), pointer, size)
+    boundaries = (pointer, *(integer,) * 4, pointer, size, pointer, long, pointer, integer)
+    return {
+        "search_workspace_bytes": (size, integer, integer),
+        "search_mask": (integer, *search, pointer),
+        "search_quads": (integer, *search, pointer, pointer, integer),
+        "search_boundaries": (integer, *boundaries),
+        "stretch": (integer, pointer, integer, integer, pointer, pointer, *(integer,) * 3, pointer, pointer),
+        "sample_squares": (
+            integer,
+            pointer,
+            *(integer,) * 2,
+            pointer,
+            long,
+            pointer,
+            *(integer,) * 2,
+            pointer,
+        ),
+    }

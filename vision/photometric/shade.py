@@ -1,7 +1,7 @@
 """Readings of candidates across which a shadow's edge runs, brought to one light.
 
-A shadow multiplies the light beyond its edge by a factor λ. Readings y under a pattern of whiteness w are
-`b + c w` on one side of a line then, and `λ (b + c w)` on the other. For each of many lines, b, c and λ
+A shadow multiplies the light beyond its edge by a factor λ. Under a pattern of whiteness w the readings are
+`b + c w` on one side of a line, and `λ (b + c w)` on the other. For each of many lines, b, c and λ
 follow from sums over both sides, by least squares in turns. The line that leaves the least is taken, and the
 readings beyond it are divided by its λ.
 """
@@ -51,7 +51,7 @@ MIN_SUM = 1e-9
 def without_shade(readings: Readings, dictionary: str) -> Readings:
     """Return the readings of N candidates with the light beyond one line brought to that before it.
 
-    They are left as they are where no line explains more than even light.
+    They are left as they are where the factor of the best line is beyond its limits.
     """
     codes = nearest_codes(readings, dictionary)[:, :CODES]
     _, clips, drawn = draw_codes(readings, codes, dictionary)
@@ -64,8 +64,8 @@ def without_shade(readings: Readings, dictionary: str) -> Readings:
     left, _ = _fit_lines(readings, white, _distances(n_cells, lines))
     best = left[:, 0].argmin(axis=1)
     distances = _distances(n_cells, lines[rows, best][:, None])
-    _, factors = _fit_lines(readings, white, distances, BAND)
-    is_shaded = np.isfinite(left[rows, 0, best])[:, None] & (distances[:, 0] > 0)
+    left, factors = _fit_lines(readings, white, distances, BAND)
+    is_shaded = np.isfinite(left[:, 0]) & (distances[:, 0] > 0)
     return readings.with_levels(np.where(is_shaded, readings.levels / factors[:, 0], readings.levels))
 
 

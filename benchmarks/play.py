@@ -1,8 +1,8 @@
 """Measure `skyherd play`: steps per second, delay of a change, and memory with a slow browser.
 
     python benchmarks/play.py [SCENARIO] [--set KEY=VALUE ...] [--seconds 15] [--browsers 3]
-    python benchmarks/play.py --changes 200                # delay from a slider to the image that shows it
-    python benchmarks/play.py --slow 600                   # memory while a browser reads a message a second
+    python benchmarks/play.py --changes 200                # delay of a slider
+    python benchmarks/play.py --slow 600                   # memory with a slow browser
 
 A stuck browser has opened its WebSocket and reads nothing. It must cost the loop nothing. The delay is from
 the request that a slider makes to the sending of the first image that shows it, at speed 1.

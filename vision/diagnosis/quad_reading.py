@@ -211,7 +211,7 @@ def _sample(image: Image, quads_px: Array, n: int, at_cells: Array) -> Array:
 
 
 def _percentiles(values: Array, percent: float) -> Array:
-    """Return a percentile of the finite values of each row of (N, K); not a number if there is none."""
+    """Return a percentile of the finite values of each row of (N, K); NaN for a row without any."""
     ordered, count = np.sort(values, axis=1), np.isfinite(values).sum(axis=1)
     place = np.maximum(count - 1, 0) * percent / 100
     below = np.floor(place).astype(int)

@@ -13,7 +13,7 @@ WORDS = {
     Reason.NO_BITS: "a dark quadrilateral without bits",
     Reason.MIRRORED: "the mirror image of id {id}: flip the picture left to right",
     Reason.WRONG_BITS: "{wrong} of {cells} cells differ from the nearest marker, id {id} (row.column "
-    "{which}): covered in part, dirty, or of another dictionary than {dictionary}",
+    "{which}): covered or shaded in part, dirty, or of another dictionary than {dictionary}",
     Reason.FEW_PIXELS: "{measured} ({like}): fly lower, zoom in or print larger",
     Reason.NO_QUIET_ZONE: "no white margin at {dark_edges} of its 4 edges ({like}): leave one cell, "
     "{cell_percent:.0f} % of its side, white all around",
@@ -27,7 +27,8 @@ WORDS = {
     Reason.TOO_NEAR: "{measured} ({like}): look from farther away, or from nearer to straight above",
     Reason.NOISY: "{measured} ({like}): more light, fly lower or print larger",
     Reason.UNSETTLED: "{measured} ({like}): something that looks like part of it is beside it, or it is bent",
-    Reason.WRONG_CELL: "{measured} ({like}): covered in part, dirty, or too much sharpening and compression",
+    Reason.WRONG_CELL: "{measured} ({like}): covered or shaded in part, dirty, or too much sharpening and "
+    "compression",
     Reason.UNLIKE_PIXELS: "{measured} ({like}): bent, covered in part, glare, or too much sharpening and "
     "compression",
     Reason.UNLIKE_CELLS: "{measured} ({like}): glare or shade across it, or covered in part",

@@ -18,11 +18,11 @@ from skyherd.vision.native.library import library
 from skyherd.vision.search.quads import find_quads
 
 FINE_SPREAD, COARSE_SPREAD = 12.0, 25.0
-"""Standard deviations that surroundings are stretched to, grey levels. Measured on 6,480 markers of 14 to 40
-px with contrasts of 5 to 34 grey levels at noise 0.7 to 3, apart or touching, and on 1,728 of 70 and 130 px,
-by boards as of `benchmarks/touching.py` with seeds of their own: 4,747 and 1,594 are found, with a gain of 5
-everywhere 4,033 and 1,150. The first alone finds a quarter of the large ones, and with 10 or 15 for it 170
-and 80 fewer of the others are found."""
+"""Standard deviations that surroundings are stretched to, grey levels. Measured on boards of
+`benchmarks/touching.py` with other seeds, contrasts of 5 to 34 grey levels and noise of 0.7 to 3. Of 6,480
+markers of 14 to 40 px 4,747 are found, and 1,594 of 1,728 of 70 and 130 px. A gain of 5 everywhere finds
+4,033 and 1,150. The first alone finds a quarter of the large ones. With 10 or 15 for it, 170 and 80 fewer of
+the others are found."""
 
 MIN_FINE_GAIN, MIN_COARSE_GAIN = 1.5, 5.0
 """Limits of the gains. Surroundings that have a smaller fine one are left flat, and have at least the coarse

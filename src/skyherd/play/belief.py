@@ -1,8 +1,8 @@
 """What one unit saw and aims at, placed on the ground beside the truth.
 
 A unit knows no metres, place or direction: its knowledge is a flat picture of any size. For people, the
-similarity that fits the robots in this picture best to their true places puts it on the ground. What remains
-between picture and truth are the unit's errors: noise, latency, and tilt unless it rectifies.
+similarity that fits the robots in this picture best to their true places puts it on the ground. The
+distances that remain are the unit's errors: noise, latency, and tilt unless it rectifies.
 """
 
 from dataclasses import dataclass

@@ -67,7 +67,7 @@ class Access:
         """Return the reason to refuse a request with a cookie, or None.
 
         Args:
-            headers: values of `Host`, `Origin` and `Cookie`; empty if there is none.
+            headers: values of `Host`, `Origin` and `Cookie`; those that are absent are empty.
             is_socket: True for a WebSocket.
         """
         host, origin = headers["Host"], headers["Origin"]

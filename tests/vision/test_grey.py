@@ -72,3 +72,5 @@ def test_only_quadrilaterals_are_sampled() -> None:
         sample_squares(np.zeros((5, 5), np.uint8), np.zeros((2, 3, 2)), np.zeros(2))
     with pytest.raises(InputError, match="search"):
         sample_squares(np.zeros((5, 5), np.uint8), np.zeros((2, 4, 2)), np.zeros(0))
+    with pytest.raises(InputError, match="an invalid size"):
+        sample_squares(np.zeros((0, 5), np.uint8), np.zeros((2, 4, 2)), np.zeros(2))

@@ -210,3 +210,17 @@ def test_wide_mosaic_of_a_large_image_is_searched():
     image = np.tile(np.ascontiguousarray(image_of("markers")[:64, :600]), (1, 70))
     places = whole(image)
     assert len(library().quads(places.image, places.mask, PLAIN)[0]) > 0
+
+
+@pytest.mark.parametrize(("room", "regions"), [(20, 5), (2000, 1), (0, 0)])
+def test_boundaries_beyond_the_room_are_an_error(room, regions):
+    """Two dark squares of 20 px have 76 points each; nothing is written behind the room."""
+    image = np.full((60, 100), 200, np.uint8)
+    image[20:40, 10:30] = image[20:40, 60:80] = 20
+    assert [len(one) for one in library().large_boundaries(image, 8, 10)] == [76, 76]
+    points, counts = np.full((room + 1000, 2), -7, np.int32), np.full(regions + 9, -7, np.int32)
+    memory = np.zeros(library().functions.search_workspace_bytes(100, 60), np.uint8)
+    given = image.ctypes.data, 100, 60, 8, 10, memory.ctypes.data, memory.size
+    results = points.ctypes.data, room, counts.ctypes.data, regions
+    assert library().functions.search_boundaries(*given, *results) == -3
+    assert (points[room:] == -7).all() and (counts[regions:] == -7).all()

@@ -73,6 +73,21 @@ def test_markers_under_a_shadow_have_the_odds_of_markers(edges: int, monkeypatch
     assert accepted >= 36 if edges else accepted < 13
 
 
+def test_edges_count_only_where_they_raise_the_odds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A doubtful marker keeps its odds if what is left without the edges is noise."""
+    rng = np.random.default_rng(8)
+    image = shaded(card(marker_cells(DICTIONARY, 11)), 0.3, 0.2, 4.0)
+    monkeypatch.setattr(likelihood, "MAX_SHADOW_EDGES", 0)
+    before = marker_odds(image, corners(6), DICTIONARY)
+    assert likelihood._is_hopeful(before, likelihood.SHADED_LOG_ODDS)[0]
+    assert before.log_odds[0] < min_log_odds(DICTIONARY)
+    monkeypatch.setattr(likelihood, "MAX_SHADOW_EDGES", 2)
+    noise = rng.uniform(0, 255, (1, 576))
+    monkeypatch.setattr(likelihood, "without_shade", lambda readings, _: readings.with_levels(noise))
+    after = marker_odds(image, corners(6), DICTIONARY)
+    assert (after.ids, after.log_odds) == (before.ids, before.log_odds)
+
+
 def test_a_shadow_makes_no_marker_of_other_bits() -> None:
     """Random bits two bits from any marker at least, under a shadow, and markers with a flipped half."""
     rng = np.random.default_rng(4)

@@ -166,11 +166,11 @@ def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
         under_glare = _odds_of_readings(readings.take(rows), dictionary)
         better = under_glare.log_odds > odds.log_odds[rows]
         odds = odds.put(rows[better], under_glare.take(better))
-    return _by_one_light(odds, readings, dictionary)
+    return _without_shadow_edges(odds, readings, dictionary)
 
 
-def _by_one_light(odds: MarkerOdds, readings: Readings, dictionary: str) -> MarkerOdds:
-    """Return odds, those of doubtful candidates with the edges of shadows removed, if they are greater."""
+def _without_shadow_edges(odds: MarkerOdds, readings: Readings, dictionary: str) -> MarkerOdds:
+    """Return odds, those of doubtful candidates without edges of shadows where these are greater."""
     rows, lit = np.arange(len(readings.levels)), readings
     for _ in range(MAX_SHADOW_EDGES):
         so_far = odds.take(rows)

@@ -2,7 +2,7 @@
 
 A shadow multiplies the light beyond its edge by a factor λ. Under a pattern of whiteness w the readings are
 `b + c w` on one side of a line, and `λ (b + c w)` on the other. For each of many lines, b, c and λ
-follow from sums over both sides, by least squares in turns. The line that leaves the least is taken, and the
+follow from sums over both sides, by least squares. The line that leaves the least is taken, and the
 readings beyond it are divided by its λ.
 """
 
@@ -17,28 +17,29 @@ from skyherd.vision.photometric.readings import (
     part_places,
 )
 
-DIRECTIONS, OFFSETS = 16, np.linspace(-0.45, 0.45, 10)
-"""Directions of the lines that are tried first, and their distances from the centre, in sides. Chosen: one of
-them misses an edge by less than a cell of 4X4_50."""
 
-FINER = np.stack(np.meshgrid(np.linspace(-0.2, 0.2, 5), np.linspace(-0.08, 0.08, 5)), axis=-1).reshape(-1, 2)
-"""Turns, rad, and shifts, sides, of the best of them that are tried then. Chosen: half of the steps above to
-either side, in steps of a part."""
+def _pairs(directions: Array, distances: Array) -> Array:
+    """Return all pairs (K, 2) of directions and distances."""
+    return np.stack(np.meshgrid(directions, distances), axis=-1).reshape(-1, 2)
 
-BAND = 0.05
+
+FIRST_LINES = _pairs(np.linspace(0, 2 * np.pi, 16, endpoint=False), np.linspace(-0.45, 0.45, 10))
+"""Lines that are tried first: the direction in which each is crossed, rad, and its distance from the centre,
+sides. Chosen: one of them misses an edge by less than a cell of 4X4_50."""
+
+FINER_CHANGES = _pairs(np.linspace(-0.2, 0.2, 5), np.linspace(-0.08, 0.08, 5))
+"""Changes of the best line that are tried then: of its direction, rad, and of its distance, sides. Chosen:
+half of the steps above to either side, in steps of a part."""
+
+BAND_SIDES = 0.05
 """Distance from the line, in sides, up to which parts may lie on either side of it. Chosen: the size of a
 part."""
-
-FIRST_LINES = np.stack(np.meshgrid(np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS, OFFSETS), axis=-1).reshape(
-    -1, 2
-)
-"""Lines that are tried first: direction and distance."""
 
 CODES = 3
 """Codes whose patterns are tried with all lines. Chosen: under a shadow the right one is among them."""
 
-TURNS = 4
-"""Number of times that levels and factor are estimated in turn. Chosen: the factor then has settled."""
+ROUNDS = 4
+"""Rounds of least squares: each estimates the levels, and then the factor. Chosen: the factor has settled."""
 
 MIN_FACTOR, MAX_FACTOR = 0.1, 0.85
 """Limits of λ, of the darker side. Chosen: a darker shadow leaves no contrast, a lighter one is explained as
@@ -57,19 +58,19 @@ def without_shade(readings: Readings, dictionary: str) -> Readings:
     _, clips, drawn = draw_codes(readings, codes, dictionary)
     white = exposed(drawn, clips[..., None])
     rows, n_cells = np.arange(len(codes)), readings.n_cells
-    left, _ = _fit_lines(readings, white, _distances(n_cells, FIRST_LINES))
+    left, _ = _fit_lines(readings, white, _distances_from_lines(n_cells, FIRST_LINES))
     code, line = np.divmod(left.reshape(len(codes), -1).argmin(axis=1), len(FIRST_LINES))
     white = white[rows, code][:, None]
-    lines = FIRST_LINES[line][:, None] + FINER
-    left, _ = _fit_lines(readings, white, _distances(n_cells, lines))
+    lines = FIRST_LINES[line][:, None] + FINER_CHANGES
+    left, _ = _fit_lines(readings, white, _distances_from_lines(n_cells, lines))
     best = left[:, 0].argmin(axis=1)
-    distances = _distances(n_cells, lines[rows, best][:, None])
-    left, factors = _fit_lines(readings, white, distances, BAND)
+    distances = _distances_from_lines(n_cells, lines[rows, best][:, None])
+    left, factors = _fit_lines(readings, white, distances, BAND_SIDES)
     is_shaded = np.isfinite(left[:, 0]) & (distances[:, 0] > 0)
     return readings.with_levels(np.where(is_shaded, readings.levels / factors[:, 0], readings.levels))
 
 
-def _distances(n_cells: int, lines: Array) -> Array:
+def _distances_from_lines(n_cells: int, lines: Array) -> Array:
     """Return the distances (..., parts) of parts from lines (..., 2), in sides, positive beyond them.
 
     A line has the direction in which it is crossed, rad, and its distance from the centre, sides.
@@ -80,7 +81,9 @@ def _distances(n_cells: int, lines: Array) -> Array:
     return np.asarray(along.reshape(*lines.shape[:-1], -1))
 
 
-def _fit_lines(readings: Readings, white: Array, distances: Array, band: float = 0.0) -> tuple[Array, Array]:
+def _fit_lines(
+    readings: Readings, white: Array, distances: Array, band_sides: float = 0.0
+) -> tuple[Array, Array]:
     """Return the sums (N, K, L) of squared errors under each line, and the factors λ (N, K, L).
 
     The sums are infinite for factors beyond their limits.
@@ -89,17 +92,17 @@ def _fit_lines(readings: Readings, white: Array, distances: Array, band: float =
         readings: of N candidates.
         white: (N, K, parts) whiteness of K patterns for each.
         distances: (L, parts) or (N, L, parts) of parts beyond each line, sides.
-        band: distance up to which parts do not count.
+        band_sides: distance up to which parts do not count, sides.
     """
     seen, y = readings.seen[:, None], readings.levels[:, None]
     of_parts = np.stack(
         [np.broadcast_to(part, white.shape) for part in (seen, seen * y, seen * y**2)]
         + [seen * white, seen * white**2, seen * y * white]
     ).astype(np.float32)
-    sides = (distances < -band, distances > band)
+    sides = (distances < -band_sides, distances > band_sides)
     near, far = (of_parts @ side.swapaxes(-1, -2).astype(np.float32) for side in sides)
     factor = np.ones(near.shape[1:])
-    for _ in range(TURNS):
+    for _ in range(ROUNDS):
         ones, first, squares, whites, both, second = near
         n, v, _, w, ww, vw = far
         ones, whites, both = ones + factor**2 * n, whites + factor**2 * w, both + factor**2 * ww

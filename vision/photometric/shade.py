@@ -65,8 +65,9 @@ def without_shade(readings: Readings, dictionary: str) -> Readings:
     left, _ = _fit_lines(readings, white, _distances_from_lines(n_cells, lines))
     best = left[:, 0].argmin(axis=1)
     distances = _distances_from_lines(n_cells, lines[rows, best][:, None])
-    left, factors = _fit_lines(readings, white, distances, BAND_SIDES)
-    is_shaded = np.isfinite(left[:, 0]) & (distances[:, 0] > 0)
+    _, factors = _fit_lines(readings, white, distances, BAND_SIDES)
+    has_edge = np.isfinite(left[rows, 0, best])[:, None] & (factors[:, 0] > MIN_FACTOR)
+    is_shaded = has_edge & (distances[:, 0] > 0)
     return readings.with_levels(np.where(is_shaded, readings.levels / factors[:, 0], readings.levels))
 
 

@@ -28,9 +28,14 @@ INLINE Floats square_root(Floats a) {
     return a;
 }
 
+/* Distance in standard deviations beyond which φ is 0, and log2 of exp(-z² / 2) there, rounded down. Derived: Φ is within
+ * 1e-9 of its limits, a sixtieth of what single precision resolves. Without it, densities and their squares would be below
+ * the smallest normal number, 1e-38, for which processors take up to a hundred times as long. */
+static const float FAR_SIGMAS = 6.0f, FAR_POWER = -26.0f;
+
 /* Return φ(z) = exp(-z² / 2) / √(2 π). The power of 2 is split into a whole one and a series, to 6e-8 of itself. */
 INLINE Floats bell(Floats z) {
-    const Floats power = larger(-0.72134752044f * z * z, all(-126.0f)); /* log2 of exp(-z² / 2) */
+    const Floats power = larger(-0.72134752044f * z * z, all(FAR_POWER)); /* log2 of exp(-z² / 2) */
     const Ints integer = whole(power - 0.5f);
     const Floats x = 0.69314718056f * (power - number(integer)); /* within ln(2) / 2 */
     Floats series = 1.0f + x * (1.0f / 6.0f);
@@ -39,7 +44,8 @@ INLINE Floats bell(Floats z) {
     series = 1.0f + x * (1.0f / 3.0f) * series;
     series = 1.0f + x * (1.0f / 2.0f) * series;
     series = 1.0f + x * series;
-    return 0.39894228040f * (Floats)((integer + 127) << 23) * series;
+    const Floats density = 0.39894228040f * (Floats)((integer + 127) << 23) * series;
+    return choose(absolute(z) < FAR_SIGMAS, density, (Floats){0});
 }
 
 /* Return Φ(z), given φ(z), to 8e-8: M. Abramowitz, I. Stegun, Handbook of Mathematical Functions, 26.2.17. */

@@ -17,6 +17,8 @@ from skyherd.vision.native.records import COLUMNS, MARKER, UNKNOWNS
 from skyherd.vision.photometric.fitting.plane import plane_limits
 
 N_CELLS = 6
+RIGHT, DOWN, BLUR = 2, 3, 6
+"""Columns of slopes along x and y, and along the logarithm of the blur, as in `fit.h`."""
 SIGMAS = (0.01, 0.05, 0.09, 0.12, 0.3)
 """Blurs of 0.06 to 1.8 cells, in sides: 2, 4, 6 and 8 edges in reach, and all of them."""
 
@@ -95,6 +97,25 @@ def test_one_more_edge_on_either_side_changes_little(reach_cells):
         columns.append(rows.columns)
     assert not np.array_equal(*columns)
     np.testing.assert_allclose(*columns, atol=5e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("is_elliptic", [False, True])
+def test_squares_of_slopes_are_zero_or_normal_numbers(is_elliptic):
+    """Products below 1e-38 take a hundred times as long; far from edges, slopes are zero instead."""
+    markers, sigma = markers_of(), 0.6 / 80
+    markers["x_axis"] /= np.abs(markers["x_axis"]) * 80
+    markers["y_axis"] = 1j * markers["x_axis"]
+    markers["height_px"], markers["sigma"], markers["half_card"] = 80, sigma, np.inf
+    blurs = np.tile(BLURS[:1] * sigma**2 / BLURS[0, 0], (len(markers), 1))
+    rows = library().list_pixels(markers, (120, 160))
+    bends = np.zeros((len(rows.columns), 3), dtype=np.float32)
+    if is_elliptic:
+        library().fill_elliptic(image_of(), markers, blurs, cells_of(), 6.0, rows, bends)
+    else:
+        library().fill_round(image_of(), markers, cells_of(), 6.0, rows)
+    slopes = np.abs(rows.columns[:, [RIGHT, DOWN, BLUR]]).astype(float)
+    assert slopes[slopes > 0].min() ** 2 > np.finfo(np.float32).tiny
+    assert (slopes == 0).mean() > 0.2 and (slopes > 0.1).any()
 
 
 def changed_rows(name):

@@ -133,14 +133,16 @@ static void double_row(const uint8_t *restrict places, uint16_t *restrict double
     for (int32_t x = 0; x < count; x++) doubled[x] = (uint16_t)(places[x] * 257u);
 }
 
+static void keep_row(uint8_t *restrict row, const uint8_t *restrict kept, int32_t width) {
+    for (int32_t x = 0; x < width; x++) row[x] &= kept[x];
+}
+
 /* Clear the pixels outside of the places, a plane of half the size. scratch (width / 2,) is for work. */
 void keep_places(Mask *mask, const uint8_t *places, uint16_t *scratch) {
     const int32_t half = mask->width / 2;
-    const uint8_t *restrict kept = (const uint8_t *)scratch;
     for (int32_t y = 0; y < mask->height; y++) {
         if (y % 2 == 0) double_row(places + (ptrdiff_t)(y / 2) * half, scratch, half);
-        uint8_t *restrict row = mask_row(mask, y);
-        for (int32_t x = 0; x < mask->width; x++) row[x] &= kept[x];
+        keep_row(mask_row(mask, y), (const uint8_t *)scratch, mask->width);
     }
 }
 

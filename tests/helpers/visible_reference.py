@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from tests.helpers.fit_reference import common_plane
+from tests.helpers.fit_reference import on_own_planes
 
 from skyherd.geometry import UNIFORM_VARIANCE
 from skyherd.markers.dictionary import border_cells, cells_per_side
@@ -13,8 +13,8 @@ from skyherd.vision.native.records import UNKNOWNS
 from skyherd.vision.photometric.fitting import occlusion
 from skyherd.vision.photometric.fitting.appearance import appearances_of
 from skyherd.vision.photometric.fitting.common_unknowns import (
+    KEYSTONE_STD,
     NO_PERSPECTIVE,
-    found_anisotropies,
     steps_to,
     with_common_tone,
     with_keystones,
@@ -38,8 +38,7 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise):
     blurs = fits.homographies.blurs(sigma_px)
     appearances = appearances_of(dictionary, fits.ids, blurs, plane, noise)
     appearances = replace(appearances, black_ratios=fits.blacks / fits.contrasts)
-    perspectives = plane.perspectives(fits.homographies.centers - middle)
-    rows, homographies = np.arange(fits.ids.size), replace(fits.homographies, perspectives=perspectives)
+    rows, homographies = np.arange(fits.ids.size), _on_plane(fits.homographies, plane, middle)
     values = np.zeros((rows.size, UNKNOWNS))
     values[:, BLACK], values[:, CONTRAST] = fits.blacks - MIDDLE_GREY, fits.contrasts
     limits, everyone = fits.contrasts / 2, np.ones(rows.size, dtype=bool)
@@ -56,10 +55,10 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise):
         counts = np.diff(before[pixels.bounds])
         solution = LeastSquaresSolution.of_grams(pixels.gram_matrices().astype(float), counts)
         solution = with_common_tone(solution, everyone)
-        solution, plane = _on_common_plane(solution, homographies, middle, plane)
+        solution = _held(solution, homographies, middle, plane)
         values = solution.values.copy()
         homographies, moved_px = stepped(solution, homographies)
-        homographies = replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))
+        homographies = _on_plane(homographies, plane, middle)
         last_limits = occlusion.INLIER_SIGMAS * np.minimum(noise, solution.noise_stds()) + edges
         limits = np.maximum(occlusion.LIMIT_FACTOR * limits, last_limits)
         shares = _visible_shares(pixels, n_cells)
@@ -104,17 +103,17 @@ def _visible_shares(pixels, n_cells):
     return used / np.maximum(read, 1)
 
 
-def _on_common_plane(solution, start, middle, plane):
-    """Return the solution with anisotropies and keystones held at those of the plane that explains all.
-
-    Where no plane explains the anisotropies they are left free, and keystones are held at zero.
-    """
-    points = start.centers - middle
-    before = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
-    held, everyone = with_keystones(solution, start, before), np.ones(points.size, dtype=bool)
-    plane = common_plane(held, points, found_anisotropies(held, start), everyone, most=False)
-    perspectives = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
-    solution = with_keystones(solution, start, perspectives)
+def _on_plane(homographies, plane, middle):
+    """Return homographies with the perspectives of a plane, if it is shared."""
     if not plane.shared:
-        return solution, plane
-    return solution.constrained(ANISOTROPY, steps_to(plane.anisotropies(points), solution, start)), plane
+        return homographies
+    return replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))
+
+
+def _held(solution, start, middle, plane):
+    """Return the solution at the plane; with free anisotropies and keystones near zero if none is shared."""
+    if not plane.shared:
+        return on_own_planes(solution, start, NO_PERSPECTIVE, KEYSTONE_STD)
+    points = start.centers - middle
+    solution = with_keystones(solution, start, plane.perspectives(points))
+    return solution.constrained(ANISOTROPY, steps_to(plane.anisotropies(points), solution, start))

@@ -219,12 +219,11 @@ static int32_t find_plane(Tests *tests, int settling, Plane *plane, const Soluti
                      settling, plane);
 }
 
-/* Hold keystones at those of a plane, and anisotropies too if all markers share it. */
+/* Hold anisotropies and keystones at those of a plane. */
 static void hold_at_plane(Tests *tests, const Plane *plane, Solutions *solutions) {
-    for (int64_t k = 0; k < solutions->count; k++)
-        tests->perspectives[k] = plane->shared ? perspective_at(plane, tests->points[k]) : complex_of(0);
+    for (int64_t k = 0; k < solutions->count; k++) tests->perspectives[k] = perspective_at(plane, tests->points[k]);
     hold_keystones(tests, solutions);
-    if (plane->shared) hold_anisotropies(tests, plane, solutions);
+    hold_anisotropies(tests, plane, solutions);
 }
 
 /* Hold anisotropies and keystones at those of the plane that the inliers lie on, or draw keystones where none explains
@@ -261,19 +260,19 @@ int32_t hold_common_unknowns(const FitRequest *given, const Homography *start, c
     return result;
 }
 
-/* Do so for markers that are covered in part, all of which decide: light may change, and without a plane that all of them
- * share keystones are held at zero. */
-int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free, Plane *plane,
+/* Do so for markers that are covered in part, all of which decide. Light may change, and the plane is known: where it is
+ * not shared, anisotropies are free and keystones are drawn to zero. */
+int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free, const Plane *plane,
                               Solutions *held) {
     Tests tests;
-    int32_t result = allocate_tests(&tests, given, start);
+    const int32_t result = allocate_tests(&tests, given, start);
     if (!result) {
         copy_solutions(free, held);
         for (int64_t k = 0; k < given->count; k++) tests.inliers[k] = 1;
         hold_common_tone(&tests, held);
-        result = find_plane(&tests, 0, plane, held);
+        if (plane->shared) hold_at_plane(&tests, plane, held);
+        else draw_alone(&tests, held);
     }
-    if (!result) hold_at_plane(&tests, plane, held);
     release_tests(&tests);
     return result;
 }

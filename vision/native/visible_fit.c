@@ -149,7 +149,7 @@ static void visible_shares(const MarkerRows *rows, int32_t n, double *shares) {
 }
 
 /* Read the visible pixels of all markers, solve, and step. Returns 0 or an error. */
-static int32_t take_round(const VisibleRequest *given, int with_margins, Plane *plane, Visible *visible) {
+static int32_t take_round(const VisibleRequest *given, int with_margins, const Plane *plane, Visible *visible) {
     const FitRequest *markers = given->markers;
     Steps *steps = &visible->steps;
     const int64_t cells = (int64_t)markers->n * markers->n;
@@ -168,7 +168,7 @@ static int32_t take_round(const VisibleRequest *given, int with_margins, Plane *
     if (!result) result = hold_visible_unknowns(markers, steps->start, &steps->free, plane, &steps->held);
     for (int64_t k = 0; k < markers->count && !result; k++) {
         step_marker(markers, steps, k);
-        put_on_plane(plane, steps, k);
+        if (plane->shared) put_on_plane(plane, steps, k);
     }
     return result;
 }
@@ -209,9 +209,9 @@ static int is_valid(const VisibleRequest *given) {
 
 /* Fit markers to their visible pixels.
  *
- * plane is the known one, and then the one found; fits (count,) and cell_means (count, n, n), the mean residual over each
- * cell, are results. Returns 0 or an error. */
-int32_t fit_visible(const VisibleRequest *given, Plane *plane, Fit *fits, double *cell_means) {
+ * The markers are held at the plane, if it is shared. fits (count,) and cell_means (count, n, n), the mean residual over
+ * each cell, are results. Returns 0 or an error. */
+int32_t fit_visible(const VisibleRequest *given, const Plane *plane, Fit *fits, double *cell_means) {
     if (!is_valid(given)) return FIT_INVALID_SIZE;
     const FitRequest *markers = given->markers;
     const int64_t count = markers->count, cells = (int64_t)markers->n * markers->n;
@@ -226,7 +226,7 @@ int32_t fit_visible(const VisibleRequest *given, Plane *plane, Fit *fits, double
         values[CONTRAST] = given->contrasts[k];
         visible.limits[k] = given->contrasts[k] / 2;
         steps->right[k] = 0;
-        put_on_plane(plane, steps, k);
+        if (plane->shared) put_on_plane(plane, steps, k);
     }
     steps->round_in_image = !is_level(plane) || markers->has_streak;
     for (int32_t number = 0; number < rounds && !result; number++) {

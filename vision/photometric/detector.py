@@ -31,9 +31,10 @@ from skyherd.vision.photometric.candidates import (
     unambiguous,
 )
 from skyherd.vision.photometric.first_fit import fit_predicted
+from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
 from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.photometric.fitting.plane import Plane
+from skyherd.vision.photometric.fitting.plane import MIN_MARKERS_ON_PLANE, Plane
 from skyherd.vision.photometric.following import follow
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.measure import measure_candidates
@@ -231,7 +232,8 @@ class PhotometricDetector:
         """Return quadrilaterals outside of known markers, decoded and measured."""
         candidates = find_candidates(image, self.dictionary, state, quads_px, known, min_correlation)
         quads_px = quads_px[outside_markers(quads_px, known)]
-        return measure_candidates(image, self.dictionary, state, quads_px, candidates)
+        plane = state.plane if len(known) >= MIN_MARKERS_ON_PLANE else OWN_PLANES
+        return measure_candidates(image, self.dictionary, state, quads_px, candidates, plane)
 
 
 class DeferringDetector(PhotometricDetector):

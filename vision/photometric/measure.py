@@ -3,8 +3,8 @@
 1. *Fit* the known pattern to the pixels: coarse first, then at full size with the blur that was found.
 2. *Verify*: a fit whose residual is noise, and every cell right, is a photometric measurement (`verify`).
 3. *Weigh* the rest: the log odds that each is a marker, by its readings at its edges (`likelihood`).
-4. *Refit* what may be a marker: to its visible pixels, then with a perspective of its own; and all under a
-   streak of motion if the image has one.
+4. *Refit* what may be a marker: to its visible pixels, on the plane that markers show which nothing covers;
+   then with a perspective of its own; and all under a streak of motion if the image has one.
 5. *Decide* about the rest by their log odds: a marker beyond doubt is reported though no fit explains its
    pixels. It is measured by a robust fit, or by its edges where that disagrees with them.
    `FitResults.qualities` says which.
@@ -15,6 +15,7 @@ are verified, and two accepted by their odds. All five are light squares that ne
 17 of 4X4_50, and their log odds are as high as those of true markers 17.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -25,14 +26,17 @@ from skyherd.markers.dictionary import border_cells, cells_per_side, code_distan
 from skyherd.messages import Quality
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.candidates import SearchPass, non_maximum_suppression, on_plane, within_better
+from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
 from skyherd.vision.photometric.fitting.fit import USUAL_NOISE, image_middle
 from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.photometric.fitting.plane import Plane
+from skyherd.vision.photometric.fitting.plane import MIN_MARKERS_ON_PLANE, Plane
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.likelihood import MarkerOdds, log_likelihoods, marker_odds, min_log_odds
 from skyherd.vision.photometric.refine import (
     START_SIGMA_PX,
+    STEPS_PER_ROUND,
+    fit_all_sizes,
     fit_any_blur,
     fit_visible_all_sizes,
     is_promising,
@@ -86,15 +90,25 @@ centres of fits that leave 0.3 to 0.5 are 0.007 px off, by the edges 0.031 px; b
 
 
 def measure_candidates(
-    image: Image, dictionary: str, state: CameraState, quads_px: Array, candidates: DecodedQuads
+    image: Image,
+    dictionary: str,
+    state: CameraState,
+    quads_px: Array,
+    candidates: DecodedQuads,
+    known_plane: Plane = OWN_PLANES,
 ) -> SearchPass:
-    """Return candidates fitted, verified and decided about, with the quadrilaterals that they are from."""
+    """Return candidates fitted, verified and decided about, with the quadrilaterals that they are from.
+
+    `known_plane` is that of other markers of the image, as far as they show it.
+    """
     if not candidates.ids.size:
         return SearchPass.empty(dictionary, state.plane, quads_px)
     start = LocalHomographies.of_corners(candidates.corners_px)
     start = on_plane(start, state.plane, image_middle(image))
     fits, plane = _fit(image, dictionary, state, candidates.ids, start)
-    fits, good, plane = verify_and_refit(image, dictionary, fits, plane, start, candidates.corners_px)
+    fits, good, plane = verify_and_refit(
+        image, dictionary, fits, plane, start, candidates.corners_px, known_plane
+    )
     found = fits.take(good)
     shapes, merits = found.homographies, found.qualities - found.noise_stds / GREY_LEVELS
     good, sides_px = good.copy(), shapes.sides_px()
@@ -133,6 +147,7 @@ def verify_and_refit(
     plane: Plane,
     start: LocalHomographies,
     corners_px: Array,
+    known_plane: Plane = OWN_PLANES,
 ) -> tuple[FitResults, BoolArray, Plane]:
     """Verify fits, refit those that are not verified, and decide about the rest by likelihood.
 
@@ -146,6 +161,7 @@ def verify_and_refit(
         plane: that they lie on.
         start: (N,) where the fits began.
         corners_px: (N, 4, 2) corners of the markers' quadrilaterals, px.
+        known_plane: of other markers of the image; it counts if these fits are too few to show theirs.
 
     Returns:
         The measurements, which of them (N,) are accepted, and the plane.
@@ -153,8 +169,10 @@ def verify_and_refit(
     noise, distance = image_noise(image), code_distance(dictionary)
     good = verified(fits, noise, distance)
     floor = max(noise, weighted_median(fits.noise_stds, fits.pixels * good)) if good.any() else noise
+    is_covered = may_be_occluded(fits, floor)
+    known_plane = _plane_of_clear(image, dictionary, fits, good, is_covered, plane, known_plane, floor)
     if good.all():  # as in most images of a video: nothing to weigh
-        fits, good = _refitted(image, dictionary, fits, good, plane, start, good, (noise, floor))
+        fits, good = _refitted(image, dictionary, fits, good, plane, known_plane, start, good, (noise, floor))
         return with_streak(image, dictionary, fits, good, plane, good)
     rest = np.flatnonzero(~good)
     edges = fit_edges(image, corners_px[rest], cells_per_side(dictionary))
@@ -162,13 +180,13 @@ def verify_and_refit(
     log_odds, worth = fits.log_odds.copy(), good.copy()
     log_odds[rest], worth[rest] = odds.log_odds, odds.log_odds > MIN_REFIT_LOG_ODDS
     fits = replace(fits, log_odds=log_odds)
-    fits, good = _refitted(image, dictionary, fits, good, plane, start, worth, (noise, floor))
+    fits, good = _refitted(image, dictionary, fits, good, plane, known_plane, start, worth, (noise, floor))
     fits, good, plane = with_streak(image, dictionary, fits, good, plane, worth)
     accepted = np.flatnonzero(~good[rest] & (odds.log_odds >= min_log_odds(dictionary)))
     if accepted.size:
         rows, odds, edges = rest[accepted], odds.take(accepted), edges.take(accepted)
         read = replace(fits.take(rows), ids=odds.ids, blacks=odds.blacks, contrasts=odds.contrasts)
-        measured = _measured(image, dictionary, read, plane, floor, edges.turned(odds.turns))
+        measured = _measured(image, dictionary, read, known_plane, floor, edges.turned(odds.turns))
         fits, good = _replaced(fits, good, rows, measured)
     return fits, good, plane
 
@@ -179,20 +197,25 @@ def _refitted(
     fits: FitResults,
     good: BoolArray,
     plane: Plane,
+    known_plane: Plane,
     start: LocalHomographies,
     worth: BoolArray,
     noises: tuple[float, float],
 ) -> tuple[FitResults, BoolArray]:
     """Refit what seems covered to its visible pixels, and what is not verified off the common plane.
 
+    Covered markers are refitted on the plane that others show, and else with anisotropies of their own.
     `worth` (N,) says which fits may be markers; `noises` are those of the image and of its verified fits.
     """
     (noise, floor), distance = noises, code_distance(dictionary)
     covered = np.flatnonzero(worth & may_be_occluded(fits, floor))
     if covered.size:
-        there = fits.take(covered)
-        visible = fit_visible_all_sizes(image, dictionary, there, with_usual_blur(there), plane, floor)
-        is_good = verified(visible, noise, distance) & residual_is_noise(visible, floor)
+
+        def is_explained(fits: FitResults) -> BoolArray:
+            return np.asarray(verified(fits, noise, distance) & residual_is_noise(fits, floor))
+
+        visible = _fit_visible(image, dictionary, fits.take(covered), known_plane, floor, is_explained)
+        is_good = is_explained(visible)
         fits, good = _replaced(fits, good, covered[is_good], visible.take(is_good))
     legible = (fits.contrasts >= MIN_MARKER_CONTRAST) & (fits.blurs_cells <= MAX_BLUR_CELLS)
     apart = np.flatnonzero(~good & worth & plane.shared & legible)
@@ -202,6 +225,45 @@ def _refitted(
         is_good = verified(alone, noise, distance)
         fits, good = _replaced(fits, good, apart[is_good], alone.take(is_good))
     return fits, good
+
+
+def _plane_of_clear(
+    image: Image,
+    dictionary: str,
+    fits: FitResults,
+    good: BoolArray,
+    is_covered: BoolArray,
+    plane: Plane,
+    known_plane: Plane,
+    noise: float,
+) -> Plane:
+    """Return the plane of verified markers that nothing covers, or the known one if these are too few."""
+    clear = np.flatnonzero(good & ~is_covered)
+    if clear.size < MIN_MARKERS_ON_PLANE:
+        return known_plane
+    if clear.size == np.count_nonzero(good):
+        return plane
+    few, steps = fits.take(clear), STEPS_PER_ROUND
+    given = few.ids, few.homographies, with_usual_blur(few), plane, noise, steps
+    return fit_all_sizes(image, dictionary, *given)[1]
+
+
+def _fit_visible(
+    image: Image,
+    dictionary: str,
+    fits: FitResults,
+    known_plane: Plane,
+    noise: float,
+    is_accepted: Callable[[FitResults], BoolArray],
+) -> FitResults:
+    """Return fits to the visible pixels, on the known plane or, where that is not accepted, off it."""
+    sigmas_px = with_usual_blur(fits)
+    visible = fit_visible_all_sizes(image, dictionary, fits, sigmas_px, known_plane, noise)
+    off = np.flatnonzero(known_plane.shared & ~is_accepted(visible))
+    if not off.size:
+        return visible
+    own = fit_visible_all_sizes(image, dictionary, fits.take(off), sigmas_px[off], OWN_PLANES, noise)
+    return visible.put(off, own)
 
 
 def _weighed(image: Image, dictionary: str, edges: EdgeFits, fitted_px: Array) -> MarkerOdds:
@@ -235,23 +297,24 @@ def _pose_costs(fitted_px: Array, edges_px: Array) -> Array:
 
 
 def _measured(
-    image: Image, dictionary: str, fits: FitResults, plane: Plane, noise: float, edges: EdgeFits
+    image: Image, dictionary: str, fits: FitResults, known_plane: Plane, noise: float, edges: EdgeFits
 ) -> FitResults:
     """Measure accepted markers by the robust fit or the edges: the pose that explains the readings better."""
     by_edges = _by_edges(fits, edges)
     near = _pose_costs(_corners(fits), edges.corners_px) < MAX_POSE_COST
     start = by_edges.put(np.flatnonzero(near), fits.take(near))
-    sigmas_px = with_usual_blur(start)
-    visible = fit_visible_all_sizes(image, dictionary, start, sigmas_px, plane, noise)
-    robust = np.flatnonzero(
-        (
-            log_likelihoods(image, _corners(visible), fits.ids, dictionary)
-            > log_likelihoods(image, edges.corners_px, fits.ids, dictionary)
+    logs = log_likelihoods(image, edges.corners_px, fits.ids, dictionary)
+
+    def is_robust(visible: FitResults) -> BoolArray:
+        return np.asarray(
+            (log_likelihoods(image, _corners(visible), fits.ids, dictionary) > logs)
+            & (_unexplained_shares(visible, dictionary) <= MAX_UNEXPLAINED_SHARE)
+            & np.isfinite(visible.covariances).all(axis=(1, 2))
+            & (visible.contrasts > 0)
         )
-        & (_unexplained_shares(visible, dictionary) <= MAX_UNEXPLAINED_SHARE)
-        & np.isfinite(visible.covariances).all(axis=(1, 2))
-        & (visible.contrasts > 0)
-    )
+
+    visible = _fit_visible(image, dictionary, start, known_plane, noise, is_robust)
+    robust = np.flatnonzero(is_robust(visible))
     if not robust.size:
         return by_edges
     fitted = visible.take(robust)

@@ -76,8 +76,8 @@ def fit_visible(
         dictionary: of the markers.
         fits: of N markers, at least one, to all their pixels.
         sigma_px: standard deviation of the blur of lens and pixel together: of all markers, or (N,) of each.
-        plane: of all the image's markers, from which blur in marker coordinates follows. The anisotropies of
-            the covered markers are found from themselves, since what covers them may have affected the plane.
+        plane: of the image's markers, on which all of these lie. If it is not shared, each marker has an
+            anisotropy of its own, and a keystone that is drawn to zero.
         noise: standard deviation of a pixel, grey levels.
 
     Returns:

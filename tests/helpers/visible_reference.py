@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from tests.helpers.fit_reference import on_own_planes
+from tests.helpers.fit_reference import common_plane, on_own_planes
 
 from skyherd.geometry import UNIFORM_VARIANCE
 from skyherd.markers.dictionary import border_cells, cells_per_side
@@ -15,6 +15,7 @@ from skyherd.vision.photometric.fitting.appearance import appearances_of
 from skyherd.vision.photometric.fitting.common_unknowns import (
     KEYSTONE_STD,
     NO_PERSPECTIVE,
+    found_anisotropies,
     steps_to,
     with_common_tone,
     with_keystones,
@@ -32,7 +33,7 @@ from skyherd.vision.photometric.fitting.fit_result import fit_results_of
 from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
 
 
-def fit_visible(image, dictionary, fits, sigma_px, plane, noise):
+def fit_visible(image, dictionary, fits, sigma_px, plane, noise, *, settled=False):
     """Return what the function of this name in `skyherd.vision.photometric.fitting.occlusion` does."""
     n_cells, middle = cells_per_side(dictionary), image_middle(image)
     blurs = fits.homographies.blurs(sigma_px)
@@ -41,10 +42,11 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise):
     rows, homographies = np.arange(fits.ids.size), _on_plane(fits.homographies, plane, middle)
     values = np.zeros((rows.size, UNKNOWNS))
     values[:, BLACK], values[:, CONTRAST] = fits.blacks - MIDDLE_GREY, fits.contrasts
-    limits, everyone = fits.contrasts / 2, np.ones(rows.size, dtype=bool)
+    everyone = np.ones(rows.size, dtype=bool)
     margins_px = occlusion.MARGIN_SIGMAS * np.broadcast_to(sigma_px, rows.shape)
     edges = occlusion.PIXEL_SHARE * (UNIFORM_VARIANCE / np.square(sigma_px)) ** 2 * fits.contrasts
-    rounds = _rounds(fits.contrasts, noise)
+    rounds = occlusion.FINAL_ROUNDS if settled else _rounds(fits.contrasts, noise)
+    limits = occlusion.INLIER_SIGMAS * noise + edges if settled else fits.contrasts / 2
     for number in range(rounds):
         values[:, POSE] = 0.0  # the last round's step was taken
         pixels = DesignMatrices(image, rows, homographies, appearances)
@@ -55,6 +57,8 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise):
         counts = np.diff(before[pixels.bounds])
         solution = LeastSquaresSolution.of_grams(pixels.gram_matrices().astype(float), counts)
         solution = with_common_tone(solution, everyone)
+        if settled:
+            plane = _found(solution, homographies, middle, plane)
         solution = _held(solution, homographies, middle, plane)
         values = solution.values.copy()
         homographies, moved_px = stepped(solution, homographies)
@@ -71,7 +75,8 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise):
     hidden = has_bit * solution.contrasts()[:, None, None]
     means = np.where(support < occlusion.MIN_VISIBLE_SHARE, hidden, means)
     variances = plane.variances(homographies.centers - middle) if plane.shared else np.zeros(rows.size)
-    return fit_results_of(fits.ids, solution, homographies, (means, peaks), moved_px, blurs, variances)
+    fitted = fit_results_of(fits.ids, solution, homographies, (means, peaks), moved_px, blurs, variances)
+    return fitted, plane
 
 
 def _rounds(contrasts, noise):
@@ -108,6 +113,14 @@ def _on_plane(homographies, plane, middle):
     if not plane.shared:
         return homographies
     return replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))
+
+
+def _found(solution, start, middle, plane):
+    """Return the plane that most markers lie on, from anisotropies under the keystones of the one before."""
+    points, everyone = start.centers - middle, np.ones(start.centers.size, dtype=bool)
+    before = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
+    held = with_keystones(solution, start, before)
+    return common_plane(held, points, found_anisotropies(held, start), everyone, most=True)
 
 
 def _held(solution, start, middle, plane):

@@ -260,19 +260,22 @@ int32_t hold_common_unknowns(const FitRequest *given, const Homography *start, c
     return result;
 }
 
-/* Do so for markers that are covered in part, all of which decide. Light may change, and the plane is known: where it is
- * not shared, anisotropies are free and keystones are drawn to zero. */
-int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free, const Plane *plane,
-                              Solutions *held) {
+/* Do so for markers that are covered in part, all of which decide. Light may change.
+ *
+ * The plane is known, or the one that most of them lie on, if it is to be found. Where it is not shared, anisotropies are
+ * free and keystones are drawn to zero. */
+int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free, int find,
+                              Plane *plane, Solutions *held) {
     Tests tests;
-    const int32_t result = allocate_tests(&tests, given, start);
+    int32_t result = allocate_tests(&tests, given, start);
     if (!result) {
         copy_solutions(free, held);
         for (int64_t k = 0; k < given->count; k++) tests.inliers[k] = 1;
         hold_common_tone(&tests, held);
-        if (plane->shared) hold_at_plane(&tests, plane, held);
-        else draw_alone(&tests, held);
+        if (find) result = find_plane(&tests, 1, plane, held);
     }
+    if (!result && plane->shared) hold_at_plane(&tests, plane, held);
+    else if (!result) draw_alone(&tests, held);
     release_tests(&tests);
     return result;
 }

@@ -128,6 +128,7 @@ typedef struct {
     const VisibleConstants *constants;
     const double *blacks, *contrasts, *sigmas_px;       /* (count,) levels of that fit, grey levels; blur, px */
     int64_t border;                 /* width of the border, cells */
+    int32_t settled;                /* whether the fit begins where it ended, and finds the plane */
 } VisibleRequest;
 
 /* Result of the fit of a marker (fitting/fit_result.py). */
@@ -178,13 +179,13 @@ int32_t hold_unknowns(double *values, double *inverse_normals, double *squares, 
                       int32_t last, const double *at, const double *variances);
 int32_t hold_common_unknowns(const FitRequest *given, const Homography *start, const uint8_t *right, int settling,
                              const Solutions *free, Plane *plane, Solutions *held);
-int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free,
-                              const Plane *plane, Solutions *held);
+int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free, int find,
+                              Plane *plane, Solutions *held);
 int32_t fit_plane(const PlaneLimits *limits, const Complex *points, const Complex *anisotropies, const double *variances,
                   int64_t count, int32_t most, Plane *plane);
 int is_request_valid(const FitRequest *given);
 int32_t streak_evidence(const FitRequest *given, double *informations, double *scores);
 int32_t fit_markers(const FitRequest *given, Plane *plane, Fit *fits, double *cell_means);
-int32_t fit_visible(const VisibleRequest *given, const Plane *plane, Fit *fits, double *cell_means);
+int32_t fit_visible(const VisibleRequest *given, Plane *plane, Fit *fits, double *cell_means);
 
 #endif

@@ -334,6 +334,7 @@ class VisibleRequestStructure(ctypes.Structure):
         ("contrasts", ctypes.c_void_p),
         ("sigmas_px", ctypes.c_void_p),
         ("border", ctypes.c_int64),
+        ("settled", ctypes.c_int32),
     )
 
 
@@ -348,6 +349,7 @@ class VisibleRequest:
         contrasts: (N,) its contrasts, grey levels.
         sigmas_px: (N,) standard deviations of the blur of lens and pixel together, px.
         border: width of the markers' border, cells.
+        settled: whether the fit begins where it ended, and finds the plane.
     """
 
     markers: FitRequest
@@ -356,6 +358,7 @@ class VisibleRequest:
     contrasts: Array
     sigmas_px: Array
     border: int
+    settled: bool = False
 
     def structure(self) -> VisibleRequestStructure:
         """Return the structure of the request, which is valid as long as its arrays.
@@ -371,4 +374,5 @@ class VisibleRequest:
             address("contrasts", self.contrasts, np.float64, (count,)),
             address("sigmas_px", self.sigmas_px, np.float64, (count,)),
             self.border,
+            self.settled,
         )

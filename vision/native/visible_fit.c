@@ -53,9 +53,16 @@ static double edge_misfit(const VisibleConstants *constants, double sigma_px) {
     return constants->pixel_share * pixel * pixel;
 }
 
+/* Return the last limit of the residuals of marker k, grey levels. */
+static double last_limit(const VisibleRequest *given, int64_t k, double noise) {
+    const VisibleConstants *constants = given->constants;
+    return constants->inlier_sigmas * noise + edge_misfit(constants, given->sigmas_px[k]) * given->contrasts[k];
+}
+
 /* Return the rounds until the limit has fallen to its last value, and the final ones. */
 static int32_t count_rounds(const VisibleRequest *given) {
     double largest = 0;
+    if (given->settled) return given->constants->final_rounds;
     for (int64_t k = 0; k < given->markers->count; k++) largest = fmax(largest, given->contrasts[k]);
     const double last = given->constants->inlier_sigmas * given->markers->noise;
     const double falls = log(last / (largest / 2)) / log(given->constants->limit_factor);
@@ -149,7 +156,7 @@ static void visible_shares(const MarkerRows *rows, int32_t n, double *shares) {
 }
 
 /* Read the visible pixels of all markers, solve, and step. Returns 0 or an error. */
-static int32_t take_round(const VisibleRequest *given, int with_margins, const Plane *plane, Visible *visible) {
+static int32_t take_round(const VisibleRequest *given, int with_margins, Plane *plane, Visible *visible) {
     const FitRequest *markers = given->markers;
     Steps *steps = &visible->steps;
     const int64_t cells = (int64_t)markers->n * markers->n;
@@ -165,7 +172,8 @@ static int32_t take_round(const VisibleRequest *given, int with_margins, const P
         solve_marker(markers, pixels, restrict_to_used(&rows, visible->used), &steps->free, k);
         if (!with_margins) visible_shares(&rows, markers->n, visible->supports + k * cells);
     }
-    if (!result) result = hold_visible_unknowns(markers, steps->start, &steps->free, plane, &steps->held);
+    if (!result)
+        result = hold_visible_unknowns(markers, steps->start, &steps->free, given->settled, plane, &steps->held);
     for (int64_t k = 0; k < markers->count && !result; k++) {
         step_marker(markers, steps, k);
         if (plane->shared) put_on_plane(plane, steps, k);
@@ -175,12 +183,10 @@ static int32_t take_round(const VisibleRequest *given, int with_margins, const P
 
 /* Let the limits fall towards their last values. */
 static void lower_limits(const VisibleRequest *given, Visible *visible) {
-    const VisibleConstants *constants = given->constants;
     for (int64_t k = 0; k < given->markers->count; k++) {
         const double noise = fmin(given->markers->noise, sqrt(noise_variance(&visible->steps.held, k)));
-        const double misfit = edge_misfit(constants, given->sigmas_px[k]) * given->contrasts[k];
-        const double last = constants->inlier_sigmas * noise + misfit;
-        visible->limits[k] = fmax(constants->limit_factor * visible->limits[k], last);
+        const double lower = given->constants->limit_factor * visible->limits[k];
+        visible->limits[k] = fmax(lower, last_limit(given, k, noise));
     }
 }
 
@@ -209,9 +215,9 @@ static int is_valid(const VisibleRequest *given) {
 
 /* Fit markers to their visible pixels.
  *
- * The markers are held at the plane, if it is shared. fits (count,) and cell_means (count, n, n), the mean residual over
- * each cell, are results. Returns 0 or an error. */
-int32_t fit_visible(const VisibleRequest *given, const Plane *plane, Fit *fits, double *cell_means) {
+ * The markers are held at the plane, if it is shared; if they are settled, it is found. fits (count,) and cell_means
+ * (count, n, n), the mean residual over each cell, are results. Returns 0 or an error. */
+int32_t fit_visible(const VisibleRequest *given, Plane *plane, Fit *fits, double *cell_means) {
     if (!is_valid(given)) return FIT_INVALID_SIZE;
     const FitRequest *markers = given->markers;
     const int64_t count = markers->count, cells = (int64_t)markers->n * markers->n;
@@ -224,7 +230,7 @@ int32_t fit_visible(const VisibleRequest *given, const Plane *plane, Fit *fits, 
         memset(values, 0, UNKNOWNS * sizeof *values);
         values[BLACK] = given->blacks[k] - 128.0;
         values[CONTRAST] = given->contrasts[k];
-        visible.limits[k] = given->contrasts[k] / 2;
+        visible.limits[k] = given->settled ? last_limit(given, k, markers->noise) : given->contrasts[k] / 2;
         steps->right[k] = 0;
         if (plane->shared) put_on_plane(plane, steps, k);
     }

@@ -172,7 +172,8 @@ def verify_and_refit(
     is_covered = may_be_occluded(fits, floor)
     known_plane = _plane_of_clear(image, dictionary, fits, good, is_covered, plane, known_plane, floor)
     if good.all():  # as in most images of a video: nothing to weigh
-        fits, good = _refitted(image, dictionary, fits, good, plane, known_plane, start, good, (noise, floor))
+        given = plane, known_plane, start, good, (noise, floor)
+        fits, good, _ = _refitted(image, dictionary, fits, good, *given)
         return with_streak(image, dictionary, fits, good, plane, good)
     rest = np.flatnonzero(~good)
     edges = fit_edges(image, corners_px[rest], cells_per_side(dictionary))
@@ -180,7 +181,8 @@ def verify_and_refit(
     log_odds, worth = fits.log_odds.copy(), good.copy()
     log_odds[rest], worth[rest] = odds.log_odds, odds.log_odds > MIN_REFIT_LOG_ODDS
     fits = replace(fits, log_odds=log_odds)
-    fits, good = _refitted(image, dictionary, fits, good, plane, known_plane, start, worth, (noise, floor))
+    given = plane, known_plane, start, worth, (noise, floor)
+    fits, good, known_plane = _refitted(image, dictionary, fits, good, *given)
     fits, good, plane = with_streak(image, dictionary, fits, good, plane, worth)
     accepted = np.flatnonzero(~good[rest] & (odds.log_odds >= min_log_odds(dictionary)))
     if accepted.size:
@@ -201,10 +203,10 @@ def _refitted(
     start: LocalHomographies,
     worth: BoolArray,
     noises: tuple[float, float],
-) -> tuple[FitResults, BoolArray]:
+) -> tuple[FitResults, BoolArray, Plane]:
     """Refit what seems covered to its visible pixels, and what is not verified off the common plane.
 
-    Covered markers are refitted on the plane that others show, and else with anisotropies of their own.
+    Covered markers are refitted on the plane that others show, or on that which they show themselves.
     `worth` (N,) says which fits may be markers; `noises` are those of the image and of its verified fits.
     """
     (noise, floor), distance = noises, code_distance(dictionary)
@@ -214,7 +216,8 @@ def _refitted(
         def is_explained(fits: FitResults) -> BoolArray:
             return np.asarray(verified(fits, noise, distance) & residual_is_noise(fits, floor))
 
-        visible = _fit_visible(image, dictionary, fits.take(covered), known_plane, floor, is_explained)
+        there = fits.take(covered)
+        visible, known_plane = _fit_visible(image, dictionary, there, known_plane, floor, is_explained)
         is_good = is_explained(visible)
         fits, good = _replaced(fits, good, covered[is_good], visible.take(is_good))
     legible = (fits.contrasts >= MIN_MARKER_CONTRAST) & (fits.blurs_cells <= MAX_BLUR_CELLS)
@@ -224,7 +227,7 @@ def _refitted(
         alone, _ = fit_any_blur(image, dictionary, *given, alone=True)
         is_good = verified(alone, noise, distance)
         fits, good = _replaced(fits, good, apart[is_good], alone.take(is_good))
-    return fits, good
+    return fits, good, known_plane
 
 
 def _plane_of_clear(
@@ -255,15 +258,26 @@ def _fit_visible(
     known_plane: Plane,
     noise: float,
     is_accepted: Callable[[FitResults], BoolArray],
-) -> FitResults:
-    """Return fits to the visible pixels, on the known plane or, where that is not accepted, off it."""
+) -> tuple[FitResults, Plane]:
+    """Return fits to the visible pixels, on the known plane or, where that is not accepted, off it.
+
+    Without a known plane that of the accepted fits is found, and returned, if they are enough.
+    """
+    fit = partial(fit_visible_all_sizes, image, dictionary, noise=noise)
     sigmas_px = with_usual_blur(fits)
-    visible = fit_visible_all_sizes(image, dictionary, fits, sigmas_px, known_plane, noise)
-    off = np.flatnonzero(known_plane.shared & ~is_accepted(visible))
-    if not off.size:
-        return visible
-    own = fit_visible_all_sizes(image, dictionary, fits.take(off), sigmas_px[off], OWN_PLANES, noise)
-    return visible.put(off, own)
+    visible, _ = fit(fits, sigmas_px, known_plane)
+    if known_plane.shared:
+        off = np.flatnonzero(~is_accepted(visible))
+        if off.size:
+            visible = visible.put(off, fit(fits.take(off), sigmas_px[off], OWN_PLANES)[0])
+        return visible, known_plane
+    rows = np.flatnonzero(is_accepted(visible))
+    if rows.size < MIN_MARKERS_ON_PLANE:
+        return visible, known_plane
+    together, plane = fit(visible.take(rows), sigmas_px[rows], OWN_PLANES, settled=True)
+    on_plane = visible.put(rows, together)
+    kept = np.flatnonzero(is_accepted(on_plane))
+    return visible.put(kept, on_plane.take(kept)), plane
 
 
 def _weighed(image: Image, dictionary: str, edges: EdgeFits, fitted_px: Array) -> MarkerOdds:
@@ -313,7 +327,7 @@ def _measured(
             & (visible.contrasts > 0)
         )
 
-    visible = _fit_visible(image, dictionary, start, known_plane, noise, is_robust)
+    visible, _ = _fit_visible(image, dictionary, start, known_plane, noise, is_robust)
     robust = np.flatnonzero(is_robust(visible))
     if not robust.size:
         return by_edges

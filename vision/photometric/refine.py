@@ -83,29 +83,41 @@ def fit_all_sizes(
         )
         parts.append(scaled.full_size(fits))
         if len(parts) == 1:
-            fitted_plane = replace(here, perspective=here.perspective / scaled.shrink)
+            fitted_plane = scaled.full_size_plane(here)
     return reduce(FitResults.joined, parts).take(np.argsort(np.concatenate(order))), fitted_plane
 
 
 def fit_visible_all_sizes(
-    image: Image, dictionary: str, fits: FitResults, sigma_px: float | Array, plane: Plane, noise: float
-) -> FitResults:
-    """Do as `fit_visible`, with each marker at a resolution that suits it; in the order of `fits`."""
-    octaves, visible = size_octaves(fits.homographies, MAX_SIDE_PX), fits
+    image: Image,
+    dictionary: str,
+    fits: FitResults,
+    sigma_px: float | Array,
+    plane: Plane,
+    noise: float,
+    *,
+    settled: bool = False,
+) -> tuple[FitResults, Plane]:
+    """Do as `fit_visible`, with each marker at a resolution that suits it; in the order of `fits`.
+
+    The plane is that of the smallest markers.
+    """
+    octaves, visible, found = size_octaves(fits.homographies, MAX_SIDE_PX), fits, list[Plane]()
     sigmas_px = np.broadcast_to(np.asarray(sigma_px, dtype=float), (fits.ids.size,))
     for octave in np.unique(octaves):
         rows, scaled = np.flatnonzero(octaves == octave), ScaledImage(image, 2 ** int(octave))
         covered = fits.take(rows)
-        refitted = fit_visible(
+        refitted, there = fit_visible(
             scaled.image,
             dictionary,
             replace(covered, homographies=covered.homographies.scaled(scaled.shrink)),
             scaled.sigmas_px(sigmas_px[rows]),
             scaled.plane(plane),
             scaled.noise(noise),
+            settled=settled,
         )
         visible = visible.put(rows, scaled.full_size(refitted))
-    return visible
+        found.append(scaled.full_size_plane(there))
+    return visible, found[0]
 
 
 def size_octaves(homographies: LocalHomographies, max_side_px: float) -> IntArray:
@@ -139,6 +151,10 @@ class ScaledImage:
     def plane(self, plane: Plane) -> Plane:
         """Return the plane in shrunk pixels: its perspective is a reciprocal length."""
         return replace(plane, perspective=plane.perspective * self.shrink)
+
+    def full_size_plane(self, plane: Plane) -> Plane:
+        """Return the plane in full-size pixels from that in shrunk ones."""
+        return replace(plane, perspective=plane.perspective / self.shrink)
 
     def full_size(self, fits: FitResults) -> FitResults:
         """Return results of fits in the shrunk image in pixels of the full-size one."""

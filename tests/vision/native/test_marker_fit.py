@@ -184,15 +184,18 @@ def visible_scene(scene, cover):
 
 @pytest.mark.parametrize("cover", ["nothing", "disc", "stroke"])
 @pytest.mark.parametrize("scene", SCENES)
-@pytest.mark.parametrize("how", ["on the plane", "alone"])
+@pytest.mark.parametrize("how", ["on the plane", "alone", "settled"])
 def test_fit_to_visible_pixels_equals_numpy(how, scene, cover):
     frame = visible_scene(scene, cover)
     start, noise = start_of(frame, "near", 4), 3.0
     given = frame.image, DICTIONARY, frame.ids
     plain, plane = fit_markers(*given, start, 0.9, Plane(), noise)
-    plane = plane if how == "on the plane" else OWN_PLANES
-    found = fit_visible(frame.image, DICTIONARY, plain, 0.9, plane, noise)
-    expected = visible_reference.fit_visible(frame.image, DICTIONARY, plain, 0.9, plane, noise)
+    plane, settled = plane if how == "on the plane" else OWN_PLANES, how == "settled"
+    given = frame.image, DICTIONARY, plain, 0.9, plane, noise
+    found, found_plane = fit_visible(*given, settled=settled)
+    expected, expected_plane = visible_reference.fit_visible(*given, settled=settled)
+    assert_same_plane(found_plane, expected_plane)
+    assert found_plane == plane or settled
     np.testing.assert_array_equal(found.pixels, expected.pixels)
     determined = found.pixels > UNKNOWNS  # fewer pixels determine nothing
     assert_alike(found.take(determined), expected.take(determined))

@@ -67,9 +67,16 @@ cell; less would let a bit be guessed from its edge."""
 
 
 def fit_visible(
-    image: Image, dictionary: str, fits: FitResults, sigma_px: float | Array, plane: Plane, noise: float
-) -> FitResults:
-    """Return the same markers, fitted to those of their pixels that agree on a pose.
+    image: Image,
+    dictionary: str,
+    fits: FitResults,
+    sigma_px: float | Array,
+    plane: Plane,
+    noise: float,
+    *,
+    settled: bool = False,
+) -> tuple[FitResults, Plane]:
+    """Return the same markers, fitted to those of their pixels that agree on a pose, and their plane.
 
     Args:
         image: grey, (height, width).
@@ -79,10 +86,13 @@ def fit_visible(
         plane: of the image's markers, on which all of these lie. If it is not shared, each marker has an
             anisotropy of its own, and a keystone that is drawn to zero.
         noise: standard deviation of a pixel, grey levels.
+        settled: whether `fits` are those to the visible pixels, each on its own. Their plane is then found:
+            pixels that are covered would affect it.
 
     Returns:
         The new results. A hidden cell of the black border leaves no residual; a hidden cell with a bit leaves
-        as much as a wrong one, so that a marker with a hidden bit is never verified.
+        as much as a wrong one, so that a marker with a hidden bit is never verified. And the plane: that
+        which was given, or which was found.
     """
     sigmas_px = np.array(np.broadcast_to(sigma_px, (fits.ids.size,)), dtype=float)
     blurs = fits.homographies.blurs(sigmas_px)
@@ -95,8 +105,11 @@ def fit_visible(
         contrasts=np.ascontiguousarray(fits.contrasts),
         sigmas_px=sigmas_px,
         border=border_cells(dictionary),
+        settled=settled,
     )
-    return FitResults.of_records(fits.ids, *library().fit_visible(request, plane.record()), blurs)
+    record = plane.record()
+    fitted = FitResults.of_records(fits.ids, *library().fit_visible(request, record), blurs)
+    return fitted, Plane.of_record(record)
 
 
 def visible_constants() -> VisibleConstants:

@@ -58,7 +58,7 @@ def test_what_covers_a_corner_does_not_pull_at_the_pose(radius):
     start = LocalHomographies.of_corners(truth.corners_px)
     plain, plane = fit_markers(image, DICTIONARY, IDS, start, SIGMA_PX, Plane(), NOISE)
     assert may_be_occluded(plain, NOISE).all()
-    fits = fit_visible(image, DICTIONARY, plain, SIGMA_PX, plane, NOISE)
+    fits, _ = fit_visible(image, DICTIONARY, plain, SIGMA_PX, plane, NOISE)
     assert verified(fits, NOISE, DISTANCE).all()
     deviations = np.sqrt(fits.covariances[:, 2, 2])
     off, plainly_off = (turned(f.homographies.headings_rad(), truth) / deviations for f in (fits, plain))
@@ -73,7 +73,7 @@ def test_a_marker_with_a_bit_that_is_not_seen_is_not_shown():
         image, DICTIONARY, IDS, LocalHomographies.of_corners(truth.corners_px), SIGMA_PX, Plane(), NOISE
     )
     assert np.flatnonzero(may_be_occluded(plain, NOISE)).tolist() == [5]
-    fits = fit_visible(image, DICTIONARY, plain, SIGMA_PX, plane, NOISE)
+    fits, _ = fit_visible(image, DICTIONARY, plain, SIGMA_PX, plane, NOISE)
     assert np.flatnonzero(~verified(fits, NOISE, DISTANCE)).tolist() == [5]
 
 

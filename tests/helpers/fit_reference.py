@@ -119,6 +119,11 @@ def hold_common_unknowns(solution, start, middle, right, plane, *, alone, settli
     solution = with_common_tone(with_even_light(solution, inliers), inliers)
     if alone:
         return on_own_planes(solution, start, NO_PERSPECTIVE, KEYSTONE_STD), OWN_PLANES
+    return hold_on_plane(solution, start, middle, inliers, plane, settling=settling)
+
+
+def hold_on_plane(solution, start, middle, inliers, plane, *, settling):
+    """Return the solution on the plane of the inliers, and this; near it where it is not that of all."""
     points = start.centers - middle
     before = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
     held = with_keystones(solution, start, before)

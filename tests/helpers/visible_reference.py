@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from tests.helpers.fit_reference import common_plane, on_own_planes
+from tests.helpers.fit_reference import hold_on_plane, on_own_planes
 
 from skyherd.geometry import UNIFORM_VARIANCE
 from skyherd.markers.dictionary import border_cells, cells_per_side
@@ -15,7 +15,6 @@ from skyherd.vision.photometric.fitting.appearance import appearances_of
 from skyherd.vision.photometric.fitting.common_unknowns import (
     KEYSTONE_STD,
     NO_PERSPECTIVE,
-    found_anisotropies,
     steps_to,
     with_common_tone,
     with_keystones,
@@ -58,8 +57,9 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise, *, settled=Fals
         solution = LeastSquaresSolution.of_grams(pixels.gram_matrices().astype(float), counts)
         solution = with_common_tone(solution, everyone)
         if settled:
-            plane = _found(solution, homographies, middle, plane)
-        solution = _held(solution, homographies, middle, plane)
+            solution, plane = hold_on_plane(solution, homographies, middle, everyone, plane, settling=True)
+        else:
+            solution = _held(solution, homographies, middle, plane)
         values = solution.values.copy()
         homographies, moved_px = stepped(solution, homographies)
         homographies = _on_plane(homographies, plane, middle)
@@ -113,14 +113,6 @@ def _on_plane(homographies, plane, middle):
     if not plane.shared:
         return homographies
     return replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))
-
-
-def _found(solution, start, middle, plane):
-    """Return the plane that most markers lie on, from anisotropies under the keystones of the one before."""
-    points, everyone = start.centers - middle, np.ones(start.centers.size, dtype=bool)
-    before = plane.perspectives(points) if plane.shared else NO_PERSPECTIVE
-    held = with_keystones(solution, start, before)
-    return common_plane(held, points, found_anisotropies(held, start), everyone, most=True)
 
 
 def _held(solution, start, middle, plane):

@@ -262,8 +262,8 @@ int32_t hold_common_unknowns(const FitRequest *given, const Homography *start, c
 
 /* Do so for markers that are covered in part, all of which decide. Light may change.
  *
- * The plane is known, or the one that most of them lie on, if it is to be found. Where it is not shared, anisotropies are
- * free and keystones are drawn to zero. */
+ * If their plane is to be found, it is that of most of them. A known plane that is not shared leaves anisotropies free, and
+ * keystones are drawn to zero. */
 int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free, int find,
                               Plane *plane, Solutions *held) {
     Tests tests;
@@ -272,10 +272,10 @@ int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, 
         copy_solutions(free, held);
         for (int64_t k = 0; k < given->count; k++) tests.inliers[k] = 1;
         hold_common_tone(&tests, held);
-        if (find) result = find_plane(&tests, 1, plane, held);
+        if (find) result = hold_on_plane(&tests, 1, plane, held);
+        else if (plane->shared) hold_at_plane(&tests, plane, held);
+        else draw_alone(&tests, held);
     }
-    if (!result && plane->shared) hold_at_plane(&tests, plane, held);
-    else if (!result) draw_alone(&tests, held);
     release_tests(&tests);
     return result;
 }

@@ -26,7 +26,7 @@ def blotchy(image, rng):
 
 
 @pytest.mark.parametrize(
-    ("change", "images", "quality"), [(faint, 80, Quality.CORNERS), (blotchy, 15, Quality.ROBUST)]
+    ("change", "images", "quality"), [(faint, 80, Quality.CORNERS), (blotchy, 45, Quality.ROBUST)]
 )
 def test_covariances_without_a_fit_match_the_errors(place_markers, draw_markers, change, images, quality):
     """NEES of the centres between 0.5 and 2 over 30 markers or more, whose own deviation is below 0.2."""

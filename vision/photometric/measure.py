@@ -169,10 +169,13 @@ def verify_and_refit(
     noise, distance = image_noise(image), code_distance(dictionary)
     good = verified(fits, noise, distance)
     floor = max(noise, weighted_median(fits.noise_stds, fits.pixels * good)) if good.any() else noise
-    is_covered = may_be_occluded(fits, floor)
-    known_plane = _plane_of_clear(image, dictionary, fits, good, is_covered, plane, known_plane, floor)
+    clear = np.flatnonzero(good & ~may_be_occluded(fits, floor))
+    quiet = max(noise, weighted_median(fits.noise_stds[clear], fits.pixels[clear])) if clear.size else noise
+    if clear.size >= MIN_MARKERS_ON_PLANE:
+        is_all = clear.size == np.count_nonzero(good)
+        known_plane = plane if is_all else _plane_of(image, dictionary, fits.take(clear), plane, floor)
     if good.all():  # as in most images of a video: nothing to weigh
-        given = plane, known_plane, start, good, (noise, floor)
+        given = plane, known_plane, start, good, (noise, floor, quiet)
         fits, good, _ = _refitted(image, dictionary, fits, good, *given)
         return with_streak(image, dictionary, fits, good, plane, good)
     rest = np.flatnonzero(~good)
@@ -181,7 +184,7 @@ def verify_and_refit(
     log_odds, worth = fits.log_odds.copy(), good.copy()
     log_odds[rest], worth[rest] = odds.log_odds, odds.log_odds > MIN_REFIT_LOG_ODDS
     fits = replace(fits, log_odds=log_odds)
-    given = plane, known_plane, start, worth, (noise, floor)
+    given = plane, known_plane, start, worth, (noise, floor, quiet)
     fits, good, known_plane = _refitted(image, dictionary, fits, good, *given)
     fits, good, plane = with_streak(image, dictionary, fits, good, plane, worth)
     accepted = np.flatnonzero(~good[rest] & (odds.log_odds >= min_log_odds(dictionary)))
@@ -202,21 +205,24 @@ def _refitted(
     known_plane: Plane,
     start: LocalHomographies,
     worth: BoolArray,
-    noises: tuple[float, float],
+    noises: tuple[float, float, float],
 ) -> tuple[FitResults, BoolArray, Plane]:
     """Refit what seems covered to its visible pixels, and what is not verified off the common plane.
 
     Covered markers are refitted on the plane that others show, or on that which they show themselves.
-    `worth` (N,) says which fits may be markers; `noises` are those of the image and of its verified fits.
+    `worth` (N,) says which fits may be markers; `noises` are those of the image, of its verified fits, and of
+    those of them that are clear. Outliers along all edges, as of thresholded images, cover nothing, so that
+    a verified fit is replaced only if the other leaves no more than clear markers do.
     """
-    (noise, floor), distance = noises, code_distance(dictionary)
+    (noise, floor, quiet), distance = noises, code_distance(dictionary)
     covered = np.flatnonzero(worth & may_be_occluded(fits, floor))
     if covered.size:
+        there, is_verified = fits.take(covered), good[covered]
 
         def is_explained(fits: FitResults) -> BoolArray:
-            return np.asarray(verified(fits, noise, distance) & residual_is_noise(fits, floor))
+            is_noise = residual_is_noise(fits, np.where(is_verified, quiet, floor))
+            return np.asarray(verified(fits, noise, distance) & is_noise)
 
-        there = fits.take(covered)
         visible, known_plane = _fit_visible(image, dictionary, there, known_plane, floor, is_explained)
         is_good = is_explained(visible)
         fits, good = _replaced(fits, good, covered[is_good], visible.take(is_good))
@@ -230,24 +236,9 @@ def _refitted(
     return fits, good, known_plane
 
 
-def _plane_of_clear(
-    image: Image,
-    dictionary: str,
-    fits: FitResults,
-    good: BoolArray,
-    is_covered: BoolArray,
-    plane: Plane,
-    known_plane: Plane,
-    noise: float,
-) -> Plane:
-    """Return the plane of verified markers that nothing covers, or the known one if these are too few."""
-    clear = np.flatnonzero(good & ~is_covered)
-    if clear.size < MIN_MARKERS_ON_PLANE:
-        return known_plane
-    if clear.size == np.count_nonzero(good):
-        return plane
-    few, steps = fits.take(clear), STEPS_PER_ROUND
-    given = few.ids, few.homographies, with_usual_blur(few), plane, noise, steps
+def _plane_of(image: Image, dictionary: str, fits: FitResults, plane: Plane, noise: float) -> Plane:
+    """Return the plane of some fits alone, from that of them and others."""
+    given = fits.ids, fits.homographies, with_usual_blur(fits), plane, noise, STEPS_PER_ROUND
     return fit_all_sizes(image, dictionary, *given)[1]
 
 

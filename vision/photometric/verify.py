@@ -277,7 +277,7 @@ def verification_tests(fits: FitResults, noise: float, distance: int) -> list[Fi
     return [*tests, FitTest(Quantity.PRINT_CONTRAST, prints, MIN_PRINT_SHARE * usual, at_least=True)]
 
 
-def residual_is_noise(fits: FitResults, noise: float) -> BoolArray:
+def residual_is_noise(fits: FitResults, noise: float | Array) -> BoolArray:
     """Return which fits (N,) to visible pixels have settled and leave no more than the noise, grey levels.
 
     Nothing is allowed for what the model lacks, since these fits may choose their pixels.

@@ -111,6 +111,25 @@ def test_covered_markers_are_measured_under_a_tilt(covered):
     assert np.mean(errors) < 2 * (1 + 4 / np.sqrt(len(errors)))
 
 
+def test_outliers_along_all_edges_cover_nothing(place_markers, draw_markers):
+    """Of thresholded images; without these pixels, centres would be 0.05 px off by six deviations."""
+    off, errors, centers = [], [], np.array([60 + 60j, 160 + 60j, 60 + 150j, 160 + 150j])
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        matrices = place_markers(centers, rng.uniform(-3, 3, 4), [24.0, 30.0, 36.0, 42.0])
+        grey = draw_markers(matrices, [3, 11, 24, 48], (220, 210), rng, noise=1.0)
+        seen = PhotometricDetector(DICTIONARY, following=False).detect(
+            np.where(grey > 128, 255, 0).astype(np.uint8)
+        )
+        away = seen.centers_px - centers[:, None].view(float)
+        off += np.linalg.norm(away, axis=1).tolist()
+        errors += [
+            d @ np.linalg.solve(c, d) / 2 for d, c in zip(away, seen.covariances[:, :2, :2], strict=True)
+        ]
+    assert np.sqrt(np.mean(np.square(off))) < 0.04
+    assert np.mean(errors) < 2
+
+
 def test_what_is_not_covered_is_not_fitted_twice(monkeypatch):
     image, _ = scene(3, [], 0.1)
     monkeypatch.setattr("skyherd.vision.photometric.measure.fit_visible_all_sizes", None)

@@ -263,7 +263,7 @@ int32_t hold_common_unknowns(const FitRequest *given, const Homography *start, c
 /* Do so for markers that are covered in part, all of which decide. Light may change.
  *
  * If their plane is to be found, it is that of most of them. A known plane that is not shared leaves anisotropies free, and
- * keystones are drawn to zero. */
+ * keystones are expected about zero. */
 int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free, int find,
                               Plane *plane, Solutions *held) {
     Tests tests;

@@ -16,7 +16,7 @@ are verified, and two accepted by their odds. All five are light squares that ne
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -80,7 +80,7 @@ MIN_REFIT_LOG_ODDS = -2.0
 """Log odds below which what is not verified is not refitted. Chosen: ten less than markers have. On
 photographs of clutter it spares two fifths of the time."""
 
-MAX_LEFT_OF_CLEAR = 2.0
+MAX_RATIO_TO_CLEAR = 2.0
 """Largest residual of a fit to visible pixels that replaces a verified fit, over that of clear markers.
 Measured: 0.8 to 0.9 under covers and dead rows, up to 1.7 under pen lines, and 27 or more in thresholded
 images."""
@@ -171,17 +171,17 @@ def verify_and_refit(
     Returns:
         The measurements, which of them (N,) are accepted, and the plane.
     """
-    noise, distance = image_noise(image), code_distance(dictionary)
-    good = verified(fits, noise, distance)
-    floor = max(noise, weighted_median(fits.noise_stds, fits.pixels * good)) if good.any() else noise
-    clear = np.flatnonzero(good & ~may_be_occluded(fits, floor))
-    quiet = max(noise, weighted_median(fits.noise_stds[clear], fits.pixels[clear])) if clear.size else noise
-    if clear.size >= MIN_MARKERS_ON_PLANE:
-        is_all = clear.size == np.count_nonzero(good)
+    noise = image_noise(image)
+    good = verified(fits, noise, code_distance(dictionary))
+    floor = _usual_noise(fits, good, noise)
+    is_covered = may_be_occluded(fits, floor)
+    clear = good & ~is_covered
+    noises = _Noises(noise, floor, _usual_noise(fits, clear, noise))
+    if np.count_nonzero(clear) >= MIN_MARKERS_ON_PLANE:
+        is_all = (clear == good).all()
         known_plane = plane if is_all else _plane_of(image, dictionary, fits.take(clear), plane, floor)
     if good.all():  # as in most images of a video: nothing to weigh
-        given = plane, known_plane, start, good, (noise, floor, quiet)
-        fits, good, _ = _refitted(image, dictionary, fits, good, *given)
+        fits, good, _ = _refit_covered(image, dictionary, fits, good, is_covered, known_plane, noises)
         return with_streak(image, dictionary, fits, good, plane, good)
     rest = np.flatnonzero(~good)
     edges = fit_edges(image, corners_px[rest], cells_per_side(dictionary))
@@ -189,8 +189,10 @@ def verify_and_refit(
     log_odds, worth = fits.log_odds.copy(), good.copy()
     log_odds[rest], worth[rest] = odds.log_odds, odds.log_odds > MIN_REFIT_LOG_ODDS
     fits = replace(fits, log_odds=log_odds)
-    given = plane, known_plane, start, worth, (noise, floor, quiet)
-    fits, good, known_plane = _refitted(image, dictionary, fits, good, *given)
+    covered = worth & is_covered
+    fits, good, known_plane = _refit_covered(image, dictionary, fits, good, covered, known_plane, noises)
+    if plane.shared:
+        fits, good = _refit_off_plane(image, dictionary, fits, good, start, worth, noises)
     fits, good, plane = with_streak(image, dictionary, fits, good, plane, worth)
     accepted = np.flatnonzero(~good[rest] & (odds.log_odds >= min_log_odds(dictionary)))
     if accepted.size:
@@ -201,49 +203,79 @@ def verify_and_refit(
     return fits, good, plane
 
 
-def _refitted(
+@dataclass(frozen=True)
+class _Noises:
+    """Standard deviations of a pixel, grey levels.
+
+    Attributes:
+        image: of the image, from its pixels' differences.
+        verified: left by verified fits in the median, at least that of the image.
+        clear: the same of verified fits without outliers.
+    """
+
+    image: float
+    verified: float
+    clear: float
+
+
+def _usual_noise(fits: FitResults, mask: BoolArray, least: float) -> float:
+    """Return the noise that fits of a mask (N,) leave in the median, grey levels, at least `least`."""
+    return max(least, weighted_median(fits.noise_stds, fits.pixels * mask)) if mask.any() else least
+
+
+def _refit_covered(
     image: Image,
     dictionary: str,
     fits: FitResults,
     good: BoolArray,
-    plane: Plane,
+    is_covered: BoolArray,
     known_plane: Plane,
+    noises: _Noises,
+) -> tuple[FitResults, BoolArray, Plane]:
+    """Refit covered markers, a mask (N,), to their visible pixels, on the plane that others show.
+
+    Returned are the fits, which (N,) are verified, and the plane, known or found. Outliers along all edges,
+    as of thresholded images, cover nothing: a verified fit is replaced only if the other leaves little more
+    than clear markers do.
+    """
+    rows = np.flatnonzero(is_covered)
+    if not rows.size:
+        return fits, good, known_plane
+    most = np.full(rows.size, noises.verified)
+    most[good[rows]] = min(noises.verified, MAX_RATIO_TO_CLEAR * noises.clear)
+
+    def is_explained(visible: FitResults) -> BoolArray:
+        is_right = verified(visible, noises.image, code_distance(dictionary))
+        return np.asarray(is_right & residual_is_noise(visible, most))
+
+    there = fits.take(rows)
+    visible, plane = _fit_visible(image, dictionary, there, known_plane, noises.verified, is_explained)
+    is_good = is_explained(visible)
+    return *_replaced(fits, good, rows[is_good], visible.take(is_good)), plane
+
+
+def _refit_off_plane(
+    image: Image,
+    dictionary: str,
+    fits: FitResults,
+    good: BoolArray,
     start: LocalHomographies,
     worth: BoolArray,
-    noises: tuple[float, float, float],
-) -> tuple[FitResults, BoolArray, Plane]:
-    """Refit what seems covered to its visible pixels, and what is not verified off the common plane.
-
-    Covered markers are refitted on the plane that others show, or on that which they show themselves.
-    `worth` (N,) says which fits may be markers; `noises` are those of the image, of its verified fits, and of
-    those of them that are clear. Outliers along all edges, as of thresholded images, cover nothing, so that
-    a verified fit is replaced only if the other leaves little more than clear markers do.
-    """
-    (noise, floor, quiet), distance = noises, code_distance(dictionary)
-    covered = np.flatnonzero(worth & may_be_occluded(fits, floor))
-    if covered.size:
-        there, is_verified = fits.take(covered), good[covered]
-
-        def is_explained(fits: FitResults) -> BoolArray:
-            most = np.where(is_verified, min(floor, MAX_LEFT_OF_CLEAR * quiet), floor)
-            is_noise = residual_is_noise(fits, most)
-            return np.asarray(verified(fits, noise, distance) & is_noise)
-
-        visible, known_plane = _fit_visible(image, dictionary, there, known_plane, floor, is_explained)
-        is_good = is_explained(visible)
-        fits, good = _replaced(fits, good, covered[is_good], visible.take(is_good))
+    noises: _Noises,
+) -> tuple[FitResults, BoolArray]:
+    """Refit what is not verified on the common plane, and worth it, each by itself; return which are good."""
     legible = (fits.contrasts >= MIN_MARKER_CONTRAST) & (fits.blurs_cells <= MAX_BLUR_CELLS)
-    apart = np.flatnonzero(~good & worth & plane.shared & legible)
-    if apart.size:
-        given = fits.ids[apart], start.take(apart), START_SIGMA_PX, Plane(), floor
-        alone, _ = fit_any_blur(image, dictionary, *given, alone=True)
-        is_good = verified(alone, noise, distance)
-        fits, good = _replaced(fits, good, apart[is_good], alone.take(is_good))
-    return fits, good, known_plane
+    rows = np.flatnonzero(~good & worth & legible)
+    if not rows.size:
+        return fits, good
+    given = fits.ids[rows], start.take(rows), START_SIGMA_PX, Plane(), noises.verified
+    alone, _ = fit_any_blur(image, dictionary, *given, alone=True)
+    is_good = verified(alone, noises.image, code_distance(dictionary))
+    return _replaced(fits, good, rows[is_good], alone.take(is_good))
 
 
 def _plane_of(image: Image, dictionary: str, fits: FitResults, plane: Plane, noise: float) -> Plane:
-    """Return the plane of some fits alone, from that of them and others."""
+    """Return the plane of these fits alone; `plane` is that of them and others."""
     given = fits.ids, fits.homographies, with_usual_blur(fits), plane, noise, STEPS_PER_ROUND
     return fit_all_sizes(image, dictionary, *given)[1]
 
@@ -258,7 +290,8 @@ def _fit_visible(
 ) -> tuple[FitResults, Plane]:
     """Return fits to the visible pixels, on the known plane or, where that is not accepted, off it.
 
-    Without a known plane that of the accepted fits is found, and returned, if they are enough.
+    If no plane is known, the accepted fits are fitted again on their own one, if they are enough to show it.
+    Returned with the fits is the plane, known or found.
     """
     fit = partial(fit_visible_all_sizes, image, dictionary, noise=noise)
     sigmas_px = with_usual_blur(fits)

@@ -149,12 +149,12 @@ class ScaledImage:
         return noise if self.shrink == 1 else math.hypot(noise / self.shrink, UNIFORM_VARIANCE**0.5)
 
     def plane(self, plane: Plane) -> Plane:
-        """Return the plane in shrunk pixels: its perspective is a reciprocal length."""
-        return replace(plane, perspective=plane.perspective * self.shrink)
+        """Return the plane in shrunk pixels, from that in full-size ones."""
+        return plane.scaled(1 / self.shrink)
 
     def full_size_plane(self, plane: Plane) -> Plane:
-        """Return the plane in full-size pixels from that in shrunk ones."""
-        return replace(plane, perspective=plane.perspective / self.shrink)
+        """Return the plane in full-size pixels, from that in shrunk ones."""
+        return plane.scaled(self.shrink)
 
     def full_size(self, fits: FitResults) -> FitResults:
         """Return results of fits in the shrunk image in pixels of the full-size one."""

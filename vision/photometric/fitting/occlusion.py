@@ -7,6 +7,9 @@ of the noise and what the model of the blur leaves along edges: pixels that no p
 first, and by the time that pixels along the edges count, the pose is nearly right (graduated non-convexity:
 Blake and Zisserman, Visual Reconstruction, 1987).
 
+The plane on which covered markers lie is that of others, since what covers them affects their anisotropies.
+Without others it is found from them once each has settled by itself (`settled`).
+
 A bit of which not half is seen counts as wrong, so that no bit is ever guessed.
 """
 
@@ -84,7 +87,7 @@ def fit_visible(
         fits: of N markers, at least one, to all their pixels.
         sigma_px: standard deviation of the blur of lens and pixel together: of all markers, or (N,) of each.
         plane: of the image's markers, on which all of these lie. If it is not shared, each marker has an
-            anisotropy of its own, and a keystone that is drawn to zero.
+            anisotropy of its own, and a keystone that is expected near zero (`KEYSTONE_STD`).
         noise: standard deviation of a pixel, grey levels.
         settled: whether `fits` are those to the visible pixels, each on its own. Their plane is then found:
             pixels that are covered would affect it.

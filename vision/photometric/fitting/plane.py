@@ -17,7 +17,7 @@ coordinates; neglecting that costs 0.002 px at a tilt of 15 degrees. Where no pl
 each marker keeps its own.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -78,6 +78,13 @@ class Plane:
     def record(self) -> npt.NDArray[np.void]:
         """Return the plane as a record (1,) of `PLANE`."""
         return np.array([(self.anisotropy, self.perspective, self.covariance, self.shared)], dtype=PLANE)
+
+    def scaled(self, factor: float) -> "Plane":
+        """Return the plane in an image enlarged by a factor: its perspective is a reciprocal length."""
+        units = np.array([1.0, 1 / factor])
+        return replace(
+            self, perspective=self.perspective / factor, covariance=self.covariance * np.outer(units, units)
+        )
 
     def anisotropies(self, points: ComplexArray) -> ComplexArray:
         """Return the anisotropies ε (N,) of markers at image points (N,), px from the image's centre."""

@@ -154,6 +154,18 @@ def test_how_well_the_plane_is_known_is_told(horizon, count):
     assert np.mean(squares) == pytest.approx(1.0, abs=0.03 + 5 * np.sqrt(2 / 800))
 
 
+@pytest.mark.parametrize("factor", [0.25, 2.0])
+def test_scaled_plane_is_that_of_the_scaled_image(factor):
+    """Anisotropies and their variances stay at each marker, and perspectives are per pixel."""
+    covariance = np.array([[2e-6, 1e-9 - 3e-10j], [1e-9 + 3e-10j, 5e-12]])
+    plane = Plane(0.05 - 0.02j, 3e-4 + 1e-4j, covariance=covariance)
+    points = np.array([200 + 100j, -150 + 40j])
+    scaled = plane.scaled(factor)
+    np.testing.assert_allclose(scaled.anisotropies(factor * points), plane.anisotropies(points), rtol=1e-12)
+    np.testing.assert_allclose(scaled.variances(factor * points), plane.variances(points), rtol=1e-12)
+    np.testing.assert_allclose(scaled.perspectives(factor * points), plane.perspectives(points) / factor)
+
+
 def test_markers_under_a_bending_lens_share_no_plane():
     """A lens `p = q (1 + κ |q|²)` has anisotropy `κ q² / (1 + 2 κ |q|²)`, 0.02 or 20 sigma at 400 px."""
     kappa, sigma = -1.2e-7, 1e-3

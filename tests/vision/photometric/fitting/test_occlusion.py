@@ -10,6 +10,7 @@ from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.dictionary import card_side, code_distance
 from skyherd.render import Camera, CameraPose, Disc, Ground, Renderer, Sensor, Shot, project_markers
 from skyherd.vision import PhotometricDetector, create_detector
+from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
 from skyherd.vision.photometric.fitting.fit import fit_markers
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.occlusion import fit_visible
@@ -95,19 +96,66 @@ def test_covered_markers_are_found_and_leave_the_others_alone(name):
     assert np.mean(np.array(squares)[:, [2, 7, 11]]) < 2 * (1 + 3 * 0.33)
 
 
+TILTED = CameraPose((0.0, 0.0), 10.0, 0.0, (0.5, -0.3))
+
+
+def squared_errors(image, truth, ids) -> list[float]:
+    """Detect markers; squared errors of the centres of those of `ids`, over what covariances say."""
+    seen = PhotometricDetector(DICTIONARY, following=False).detect(image)
+    rows = np.isin(seen.ids, ids)
+    off = seen.centers_px[rows] - truth.centers_px[seen.ids[rows]]
+    return [d @ np.linalg.solve(c, d) / 2 for d, c in zip(off, seen.covariances[rows, :2, :2], strict=True)]
+
+
 @pytest.mark.parametrize("covered", [[6], [1, 2, 5, 6, 8, 11], IDS.tolist()])
 def test_covered_markers_are_measured_under_a_tilt(covered):
     """One marker alone, or a few, do not show the keystones of a tilt: centres would be off by 0.1 px."""
-    pose, errors = CameraPose((0.0, 0.0), 10.0, 0.0, (0.5, -0.3)), []
+    errors: list[float] = []
     for seed in range(4):
-        image, truth = scene(40 + seed, covered, 0.12, pose=pose)
+        image, truth = scene(40 + seed, covered, 0.12, pose=TILTED)
+        errors += squared_errors(image, truth, covered)
+    assert len(errors) >= 4
+    assert np.mean(errors) < 2 * (1 + 4 / np.sqrt(len(errors)))
+
+
+def test_covers_do_not_affect_the_plane_of_clear_markers():
+    """Twelve of sixteen are covered: the plane of all plain fits would lead to a NEES of 6."""
+    covered, pose, errors = IDS[4:].tolist(), CameraPose((0.0, 0.0), 10.0, 0.0, (0.25, -0.15)), []
+    for seed in range(8):
+        image, truth = scene(70 + seed, covered, 0.25, pose=pose)
+        errors += squared_errors(image, truth, covered)
+    assert len(errors) > 40
+    assert np.mean(errors) < 2
+
+
+def test_covered_markers_alone_find_their_plane():
+    """All are covered: they are known as well as on a known plane, and better than each by itself."""
+    stds = []
+    for seed in range(4):
+        image, truth = scene(80 + seed, IDS.tolist(), 0.16)
+        start = LocalHomographies.of_corners(truth.corners_px)
+        plain, _ = fit_markers(image, DICTIONARY, IDS, start, SIGMA_PX, Plane(), NOISE)
+        given = image, DICTIONARY, plain, SIGMA_PX
+        known, alone = (fit_visible(*given, plane, NOISE)[0] for plane in (Plane(), OWN_PLANES))
         seen = PhotometricDetector(DICTIONARY, following=False).detect(image)
-        assert set(covered) & set(seen.ids.tolist())
-        rows = np.isin(seen.ids, covered)
-        off = seen.centers_px[rows] - truth.centers_px[seen.ids[rows]]
-        errors += [
-            d @ np.linalg.solve(c, d) / 2 for d, c in zip(off, seen.covariances[rows, :2, :2], strict=True)
-        ]
+        assert seen.ids.tolist() == IDS.tolist()
+        stds.append([np.sqrt(np.median(one.covariances[:, 0, 0])) for one in (seen, known, alone)])
+    found, known, alone = np.mean(stds, axis=0)
+    assert found < 1.1 * known < 0.8 * alone
+
+
+def test_covered_marker_off_the_plane_of_the_others_is_measured():
+    """One of sixteen is tilted by itself: it keeps an anisotropy of its own."""
+    errors = []
+    for seed in range(4):
+        image, truth = scene(90 + seed, [], 0.12)
+        other, tilted = scene(90 + seed, [6], 0.12, pose=TILTED)
+        (u, v), (x, y) = (np.rint(one.centers_px[6]).astype(int) for one in (truth, tilted))
+        image[v - 30 : v + 30, u - 30 : u + 30] = other[y - 30 : y + 30, x - 30 : x + 30]
+        truth.centers_px[6] = tilted.centers_px[6] + [u - x, v - y]
+        own = squared_errors(image, truth, [6])
+        assert len(own) == 1
+        errors += own
     assert np.mean(errors) < 2 * (1 + 4 / np.sqrt(len(errors)))
 
 

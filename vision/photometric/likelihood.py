@@ -70,6 +70,11 @@ the marker's, from which they count. Chosen: between what blur or glare changes 
 HOPELESS = 1.0
 """Log odds below which the remaining hypotheses are not compared. Chosen: no candidate recovers from it."""
 
+MIN_CELL_CORRELATION = 0.65
+"""Smallest correlation of a candidate's cells with a code's from which on hypotheses are compared. Measured:
+accepted markers have 0.73 or more under odd conditions (tuning seeds), and those that are worth another fit
+0.68; half of the clutter on photographs has less. Chosen below these."""
+
 FIRST_CODES, FIRST_LOG_ODDS, MAX_FIRST_STD = 2, (3.0, 1.0), 0.25
 """Number of codes that are compared first, without narrow cards; the log odds against the other code and
 against bits by chance, and the noise, share of the readings' range, beyond which nothing else is compared.
@@ -196,12 +201,23 @@ def _only(rows: IntArray, readings: Readings, mask: BoolArray) -> tuple[IntArray
 
 def _odds_of_readings(readings: Readings, dictionary: str) -> MarkerOdds:
     """Return the evidence for the likeliest marker of each of N candidates, by its readings."""
-    codes = nearest_codes(readings, dictionary)
-    odds = _odds_of_codes(readings, codes[:, :FIRST_CODES], dictionary, first=True)
-    likely = np.flatnonzero(_is_hopeful(odds))
+    codes, correlations = nearest_codes(readings, dictionary)
+    odds, alike = _no_odds(codes[:, 0]), np.flatnonzero(correlations >= MIN_CELL_CORRELATION)
+    if not alike.size:
+        return odds
+    first = _odds_of_codes(readings.take(alike), codes[alike, :FIRST_CODES], dictionary, first=True)
+    odds, likely = odds.put(alike, first), alike[_is_hopeful(first)]
     if not likely.size:
         return odds
     return odds.put(likely, _odds_of_codes(readings.take(likely), codes[likely], dictionary))
+
+
+def _no_odds(codes: IntArray) -> MarkerOdds:
+    """Return evidence for N candidates that resemble no code; `codes` (N,) are the nearest."""
+    count, (ids, turns) = len(codes), np.divmod(codes, 4)
+    never, nothing = np.full(count, -np.inf), np.zeros(count)
+    against = np.full((count, 4), -np.inf)
+    return MarkerOdds(ids, turns, never, against, nothing, nothing, np.full(count, np.inf), nothing)
 
 
 def _is_hopeful(odds: MarkerOdds, least: tuple[float, float] = FIRST_LOG_ODDS) -> BoolArray:

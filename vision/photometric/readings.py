@@ -172,17 +172,20 @@ def on_marker(n_cells: int) -> npt.NDArray[np.bool_]:
     return np.kron(cells, np.ones((PARTS, PARTS), dtype=bool)).ravel()
 
 
-def nearest_codes(readings: Readings, dictionary: str) -> IntArray:
-    """Return the codes (N, MAX_CODES) whose cells resemble the readings most, the likeliest first.
+def nearest_codes(readings: Readings, dictionary: str) -> tuple[IntArray, Array]:
+    """Return the codes whose cells resemble the readings most, and the correlation with the best of them.
 
     Code 4 i + k is marker i with corner k first.
+
+    Returns:
+        Codes (N, MAX_CODES), the likeliest first, and correlations (N,) of the first.
     """
     cells = readings.cells[:, 1:-1, 1:-1].reshape(len(readings.levels), -1)
     seen = standardised(cells.astype(np.float32))
     match = np.max([seen @ blurred_codes(dictionary, blur).patterns.T for blur in CELL_BLURS], axis=0)
     few = np.argpartition(-match, MAX_CODES - 1, axis=1)[:, :MAX_CODES]
     order = np.argsort(-np.take_along_axis(match, few, axis=1), axis=1)
-    return np.asarray(np.take_along_axis(few, order, axis=1))
+    return np.asarray(np.take_along_axis(few, order, axis=1)), match.max(axis=1) / seen.shape[1]
 
 
 @lru_cache(maxsize=16)

@@ -54,7 +54,7 @@ def without_shade(readings: Readings, dictionary: str) -> Readings:
 
     They are left as they are where the factor of the best line is beyond its limits.
     """
-    codes = nearest_codes(readings, dictionary)[:, :CODES]
+    codes = nearest_codes(readings, dictionary)[0][:, :CODES]
     _, clips, drawn = draw_codes(readings, codes, dictionary)
     white = exposed(drawn, clips[..., None])
     rows, n_cells = np.arange(len(codes)), readings.n_cells

@@ -25,6 +25,7 @@ from skyherd.vision.photometric.readings import (
     cell_edges,
     exposed,
 )
+from skyherd.vision.search.decode import blurred_codes
 from skyherd.vision.search.edges import fit_edges
 
 CELL_PX, MARGIN_PX, BLUR_PX = 6, 30, 1.0
@@ -332,3 +333,26 @@ def test_fit_that_explains_half_of_the_bits_measures_a_marker(marker, seed, spot
     assert seen.ids.tolist() == [marker] and seen.qualities.tolist() == [quality]
     off_px = np.linalg.norm(seen.centers_px[0] - (MARGIN_PX + 4 * CELL_PX - 0.5))
     assert off_px < (0.02 if quality == Quality.ROBUST else 0.06)
+
+
+def test_candidates_among_those_like_no_code_keep_their_odds() -> None:
+    """What resembles no code is left out of the comparison; the others keep their rows."""
+    cells = marker_cells("APRILTAG_36h11", 301)
+    image = noisy(card(cells), 1)
+    ground = corners(8) / 8  # a corner of the image, with noise alone
+    turned = corners(8, 3)
+    together = marker_odds(image, np.concatenate([ground, corners(8), ground + 1, turned]), "APRILTAG_36h11")
+    alone = [marker_odds(image, one, "APRILTAG_36h11") for one in (corners(8), turned)]
+    assert together.log_odds[0] == together.log_odds[2] == -np.inf
+    assert together.ids[[1, 3]].tolist() == [301, 301] and together.turns[1] != together.turns[3]
+    np.testing.assert_allclose(together.log_odds[[1, 3]], [one.log_odds[0] for one in alone])
+
+
+def test_correlation_is_that_of_cells_with_the_nearest_code() -> None:
+    cells = flipped(marker_cells("APRILTAG_36h11", 301), (1, 2))
+    readings = Readings.read(noisy(card(cells), 1), corners(8), 8)
+    codes, correlations = readings_module.nearest_codes(readings, "APRILTAG_36h11")
+    patterns = [blurred_codes("APRILTAG_36h11", blur).patterns[codes[0, 0]] for blur in (0.2, 0.5)]
+    seen = readings.cells[0, 1:-1, 1:-1].ravel()
+    assert codes[0, 0] == 4 * 301
+    assert correlations[0] == pytest.approx(max(np.corrcoef(seen, one)[0, 1] for one in patterns), abs=1e-4)

@@ -91,7 +91,12 @@ class Mosaic:
         return self.offsets[np.searchsorted(self.begins, columns, side="right") - 1]
 
 
-def crowded_places(image: Image, known_px: Array | None = None, min_darkness: float = 0.0) -> Mosaic | None:
+def crowded_places(
+    image: Image,
+    known_px: Array | None = None,
+    min_darkness: float = 0.0,
+    max_darkness: float = MAX_CROWD,
+) -> Mosaic | None:
     """Return the places of an image with a high density of dark pixels, or None.
 
     Args:
@@ -99,12 +104,14 @@ def crowded_places(image: Image, known_px: Array | None = None, min_darkness: fl
         known_px: (K, 4, 2) corners of known squares, px. Pixels inside them and along their edges are
             excluded. Places beside them may extend over them.
         min_darkness: lower limit of the density limit, grey levels.
+        max_darkness: upper limit of the density limit, grey levels.
     """
     height, width = (side - side % 2 for side in image.shape)
     if min(height, width) == 0:
         return None
     image = image[:height, :width]
-    crowded = _crowded(image, np.zeros((0, 4, 2)) if known_px is None else known_px, min_darkness)
+    known_px = np.zeros((0, 4, 2)) if known_px is None else known_px
+    crowded = _crowded(image, known_px, min_darkness, max_darkness)
     return _mosaic(image, crowded) if crowded.any() else None
 
 
@@ -127,7 +134,7 @@ def _mosaic(image: Image, crowded_mask: Image) -> Mosaic:
     return Mosaic(np.hstack(crops), mask, begins, low[:, 0] - begins + 1j * low[:, 1])
 
 
-def _crowded(image: Image, known_px: Array, min_darkness: float) -> Image:
+def _crowded(image: Image, known_px: Array, min_darkness: float, max_darkness: float) -> Image:
     """Return the mask of places with a high density of dark pixels, at half the size.
 
     Known squares (K, 4, 2), px of the full image, and their edges are excluded.
@@ -137,7 +144,7 @@ def _crowded(image: Image, known_px: Array, min_darkness: float) -> Image:
         dtype=np.uint8,
     )
     darkness = np.asarray(cv2.subtract(_mean(half, COARSE_WINDOW), half), dtype=np.uint8)
-    crowd = np.clip(CROWD_FACTOR * cv2.mean(darkness)[0], MIN_CROWD, MAX_CROWD)
+    crowd = np.clip(CROWD_FACTOR * cv2.mean(darkness)[0], MIN_CROWD, max_darkness)
     least = max(float(crowd), min_darkness)
     _, crowded = cv2.threshold(_mean(darkness, COARSE_WINDOW), least, 255, cv2.THRESH_BINARY)
     for square in np.rint((known_px - 0.5) / 2).astype(np.int32):

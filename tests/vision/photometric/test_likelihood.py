@@ -336,7 +336,7 @@ def test_fit_that_explains_half_of_the_bits_measures_a_marker(marker, seed, spot
 
 
 def test_candidates_among_those_like_no_code_keep_their_odds() -> None:
-    """What resembles no code is left out of the comparison; the others keep their rows."""
+    """Candidates unlike all codes are left out of the comparison; the others keep their rows."""
     cells = marker_cells("APRILTAG_36h11", 301)
     image = noisy(card(cells), 1)
     ground = corners(8) / 8  # a corner of the image, with noise alone

@@ -3,15 +3,16 @@
 
 #include <string.h>
 
-enum { LARGE_WINDOW_PX = 21, PART_PX = 5 };
+enum { PART_PX = 5 };
 
 /* Return the index of `at` within 0..length-1, mirrored at the ends without repeating them. */
 static int32_t mirrored(int32_t at, int32_t length) {
-    if (length == 1) return 0;
-    const int32_t period = 2 * (length - 1);
-    at %= period;
-    if (at < 0) at += period;
-    return at < length ? at : period - at;
+    const int32_t last = length - 1, forward = at < 0 ? -at : at;
+    if (forward <= last) return forward;
+    if (forward <= 2 * last) return 2 * last - forward;
+    if (last == 0) return 0;
+    const int32_t rest = forward % (2 * last); /* windows wider than the image are mirrored several times */
+    return rest <= last ? rest : 2 * last - rest;
 }
 
 static void add_row(uint16_t *restrict sums, const uint8_t *restrict row, int32_t width) {
@@ -60,6 +61,10 @@ static void large_window_means(const uint16_t *restrict columns, const uint16_t 
     }
 }
 
+static int is_compiled(int32_t window_px) {
+    return window_px == 3 || window_px == 5 || window_px == 9 || window_px == LARGE_WINDOW_PX;
+}
+
 /* Compute the means of one row from the sums of its columns, which begin `window_px / 2` left of the image. */
 static void row_means(const uint16_t *columns, uint16_t *parts, int32_t width, int32_t window_px, uint8_t *means) {
     switch (window_px) {
@@ -72,60 +77,114 @@ static void row_means(const uint16_t *columns, uint16_t *parts, int32_t width, i
     }
 }
 
-/* Write the mean over a box around each pixel. Widths of 3, 5, 9 and 21 px are compiled. */
-int box_mean(const uint8_t *image, int32_t width, int32_t height, int32_t window_px, uint8_t *means, Workspace *work) {
-    if (window_px != 3 && window_px != 5 && window_px != 9 && window_px != LARGE_WINDOW_PX) return INVALID_PARAMETERS;
-    const int32_t reach = window_px / 2;
-    uint16_t *padded = work->column_sums, *columns = padded + reach;
-    memset(columns, 0, (size_t)width * sizeof *columns);
-    for (int32_t y = -reach; y <= reach; y++) add_row(columns, image + (ptrdiff_t)mirrored(y, height) * width, width);
-    for (int32_t y = 0; y < height; y++) {
-        for (int32_t x = 1; x <= reach; x++) {
-            columns[-x] = columns[mirrored(-x, width)];
-            columns[width - 1 + x] = columns[mirrored(width - 1 + x, width)];
-        }
-        row_means(padded, work->window_sums, width, window_px, means + (ptrdiff_t)y * width);
-        const uint8_t *added = image + (ptrdiff_t)mirrored(y + reach + 1, height) * width;
-        const uint8_t *removed = image + (ptrdiff_t)mirrored(y - reach, height) * width;
-        replace_row(columns, added, removed, width);
-    }
-    return 0;
+/* Rows of a plane: all of them, or the last ones in a ring. */
+typedef struct { const uint8_t *pixels; ptrdiff_t stride; int32_t last_index; } Rows;
+
+static inline const uint8_t *row_at(const Rows *rows, int32_t y) {
+    return rows->pixels + (y & rows->last_index) * rows->stride;
 }
 
-/* Sharpen by an unsharp mask: twice the smooth image less the wide mean, within 0 to 255. */
+/* Rows that a step of the threshold reads, their size, and sums over the columns of a window about the row at hand. */
+typedef struct { Rows from; int32_t width, height, window_px; uint16_t *padded, *parts; } Box;
+
+/* Compute the means over a box around each pixel of row y. The rows are to be asked for one after the other. */
+static void box_row(const Box *box, int32_t y, uint8_t *means) {
+    const int32_t reach = box->window_px / 2, width = box->width, height = box->height;
+    uint16_t *columns = box->padded + reach;
+    if (y == 0) {
+        memset(columns, 0, (size_t)width * sizeof *columns);
+        for (int32_t v = -reach; v <= reach; v++) add_row(columns, row_at(&box->from, mirrored(v, height)), width);
+    } else {
+        const uint8_t *added = row_at(&box->from, mirrored(y + reach, height));
+        replace_row(columns, added, row_at(&box->from, mirrored(y - reach - 1, height)), width);
+    }
+    for (int32_t x = 1; x <= reach; x++) {
+        columns[-x] = columns[mirrored(-x, width)];
+        columns[width - 1 + x] = columns[mirrored(width - 1 + x, width)];
+    }
+    row_means(box->padded, box->parts, width, box->window_px, means);
+}
+
+/* Sharpen by an unsharp mask: twice the smooth row less the wide mean, within 0 to 255. */
 static void sharpen(const uint8_t *restrict smooth, const uint8_t *restrict wide, uint8_t *restrict sharp,
-                    ptrdiff_t count) {
-    for (ptrdiff_t at = 0; at < count; at++) {
-        int16_t value = (int16_t)(2 * smooth[at] - wide[at]);
+                    int32_t width) {
+    for (int32_t x = 0; x < width; x++) {
+        int16_t value = (int16_t)(2 * smooth[x] - wide[x]);
         value = value < 0 ? 0 : value;
-        sharp[at] = (uint8_t)(value > 255 ? 255 : value);
+        sharp[x] = (uint8_t)(value > 255 ? 255 : value);
     }
 }
 
 /* Write the pixels of a row that are darker than the larger of two means. */
-void compare(const uint8_t *small, const uint8_t *large, const uint8_t *restrict sharp, uint8_t *restrict dark,
-             int32_t width, int32_t darker) {
+static void compare(const uint8_t *small, const uint8_t *large, const uint8_t *restrict sharp, uint8_t *restrict dark,
+                    int32_t width, int32_t darker) {
     for (int32_t x = 0; x < width; x++) {
         const uint8_t mean = small[x] > large[x] ? small[x] : large[x];
         dark[x] = (int16_t)(mean - sharp[x]) > (int16_t)darker ? DARK : 0;
     }
 }
 
-/* Write the pixels of the sharpened image that are darker than the larger of two local means. */
+/* Boxes of one image: two of the unsharp mask, one after the other, that of the noise filter, and both windows. */
+enum { SHARPENING, SHARPENING_AGAIN, SMOOTHING, SMALL_WINDOW, LARGE_WINDOW };
+
+/* Steps of the threshold, and how many rows of either ring have been computed. */
+typedef struct { Box boxes[BOXES]; int32_t mean_rows, sharp_rows; } ThresholdSteps;
+
+static int begin_steps(const uint8_t *image, int32_t width, int32_t height, const SearchParameters *parameters,
+                       const Workspace *work, ThresholdSteps *steps) {
+    const Rows all = {image, width, INT32_MAX}, means = {work->means, width, MEAN_ROWS - 1},
+               sharp = {work->sharp, width, SHARP_ROWS - 1};
+    const Rows from[BOXES] = {all, means, all, sharp, sharp};
+    const int32_t windows[BOXES] = {parameters->sharpening_px, parameters->sharpening_px, parameters->smoothing_px,
+                                    parameters->small_window_px, parameters->large_window_px};
+    for (int i = 0; i < BOXES; i++) {
+        const int32_t most = i == SHARPENING_AGAIN ? MEAN_ROWS - 2 : LARGE_WINDOW_PX;
+        if (windows[i] > most || !is_compiled(windows[i])) return INVALID_PARAMETERS;
+        uint16_t *padded = work->column_sums + i * (width + 2 * LARGE_WINDOW_PX);
+        steps->boxes[i] = (Box){from[i], width, height, windows[i], padded, work->window_sums};
+    }
+    steps->mean_rows = steps->sharp_rows = 0;
+    return 0;
+}
+
+/* Compute the next row of the sharpened image, and the rows of means that it needs. */
+static void next_sharp_row(const Workspace *work, ThresholdSteps *steps) {
+    const Box *boxes = steps->boxes;
+    const int32_t y = steps->sharp_rows++, width = boxes[0].width, height = boxes[0].height;
+    const int32_t last = y + boxes[SHARPENING_AGAIN].window_px / 2;
+    for (; steps->mean_rows <= last && steps->mean_rows < height; steps->mean_rows++)
+        box_row(boxes + SHARPENING, steps->mean_rows, work->means + steps->mean_rows % MEAN_ROWS * (ptrdiff_t)width);
+    box_row(boxes + SHARPENING_AGAIN, y, work->wide);
+    box_row(boxes + SMOOTHING, y, work->smooth);
+    sharpen(work->smooth, work->wide, work->sharp + y % SHARP_ROWS * (ptrdiff_t)width, width);
+}
+
+/* Write the pixels of the sharpened image that are darker than the larger of two local means.
+ *
+ * The steps follow each other row by row, so that all rows at hand stay in the processor's cache. */
 int threshold(const uint8_t *image, int32_t width, int32_t height, const SearchParameters *parameters,
               Workspace *work) {
-    uint8_t *smooth = work->smooth, *wide = work->wide, *sharp = work->sharp;
-    if (box_mean(image, width, height, parameters->sharpening_px, smooth, work)) return INVALID_PARAMETERS;
-    if (box_mean(smooth, width, height, parameters->sharpening_px, wide, work)) return INVALID_PARAMETERS;
-    if (box_mean(image, width, height, parameters->smoothing_px, smooth, work)) return INVALID_PARAMETERS;
-    sharpen(smooth, wide, sharp, (ptrdiff_t)width * height);
-    if (box_mean(sharp, width, height, parameters->small_window_px, smooth, work)) return INVALID_PARAMETERS;
-    if (box_mean(sharp, width, height, parameters->large_window_px, wide, work)) return INVALID_PARAMETERS;
+    ThresholdSteps steps;
+    if (begin_steps(image, width, height, parameters, work, &steps)) return INVALID_PARAMETERS;
+    const int32_t small_px = parameters->small_window_px, large_px = parameters->large_window_px;
+    const int32_t reach = (small_px > large_px ? small_px : large_px) / 2;
     for (int32_t y = 0; y < height; y++) {
-        const ptrdiff_t at = (ptrdiff_t)y * width;
-        compare(smooth + at, wide + at, sharp + at, mask_row(&work->dark, y), width, parameters->darker);
+        while (steps.sharp_rows <= y + reach && steps.sharp_rows < height) next_sharp_row(work, &steps);
+        box_row(steps.boxes + SMALL_WINDOW, y, work->smooth);
+        box_row(steps.boxes + LARGE_WINDOW, y, work->wide);
+        const uint8_t *sharp = work->sharp + y % SHARP_ROWS * (ptrdiff_t)width;
+        compare(work->smooth, work->wide, sharp, mask_row(&work->dark, y), width, parameters->darker);
     }
     return 0;
+}
+
+/* Write the pixels of an image that are darker than the mean of the large window. */
+void threshold_plain(const uint8_t *image, int32_t width, int32_t height, int32_t darker, Workspace *work) {
+    const Box box = {{image, width, INT32_MAX}, width, height, LARGE_WINDOW_PX, work->column_sums, work->window_sums};
+    for (int32_t y = 0; y < height; y++) {
+        box_row(&box, y, work->wide);
+        compare(work->wide, work->wide, image + (ptrdiff_t)y * width, mask_row(&work->dark, y), width, darker);
+    }
 }
 
 /* Write a row of places at twice the size. */

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-enum { ALIGNMENT = 64, MAX_WINDOW_PX = 21 };
+enum { ALIGNMENT = 64 };
 
 static int valid_size(int32_t width, int32_t height) {
     return width > 0 && height > 0 && width <= MAX_SIDE_PX && height <= MAX_SIDE_PX && width % 2 == 0 &&
@@ -37,12 +37,13 @@ static Mask reserve_mask(uint8_t *memory, size_t *used, int32_t width, int32_t h
 
 /* Lay out the workspace in `memory`, and return the bytes used. Without memory only the bytes are counted. */
 static size_t lay_out(uint8_t *memory, int32_t width, int32_t height, Workspace *work) {
-    const size_t pixels = (size_t)width * (size_t)height, padded = (size_t)width + 2 * MAX_WINDOW_PX;
+    const size_t pixels = (size_t)width * (size_t)height, padded = (size_t)width + 2 * LARGE_WINDOW_PX;
     size_t used = 0;
-    work->smooth = reserve(memory, &used, pixels);
-    work->wide = reserve(memory, &used, pixels);
-    work->sharp = reserve(memory, &used, pixels);
-    work->column_sums = (uint16_t *)(void *)reserve(memory, &used, padded * sizeof(uint16_t));
+    work->smooth = reserve(memory, &used, (size_t)width);
+    work->wide = reserve(memory, &used, (size_t)width);
+    work->means = reserve(memory, &used, MEAN_ROWS * (size_t)width);
+    work->sharp = reserve(memory, &used, SHARP_ROWS * (size_t)width);
+    work->column_sums = (uint16_t *)(void *)reserve(memory, &used, BOXES * padded * sizeof(uint16_t));
     work->window_sums = (uint16_t *)(void *)reserve(memory, &used, padded * sizeof(uint16_t));
     work->dark = reserve_mask(memory, &used, width, height);
     work->eroded = reserve_mask(memory, &used, width, height);
@@ -158,11 +159,7 @@ int32_t search_boundaries(const uint8_t *image, int32_t width, int32_t height, i
     if (!valid_size(width, height) || workspace_bytes < search_workspace_bytes(width, height)) return INVALID_SIZE;
     if (!image || !workspace || darker < 0 || darker > 255) return INVALID_PARAMETERS;
     begin(workspace, workspace_bytes, width, height, &work);
-    box_mean(image, width, height, MAX_WINDOW_PX, work.wide, &work);
-    for (int32_t y = 0; y < height; y++) {
-        const ptrdiff_t at = (ptrdiff_t)y * width;
-        compare(work.wide + at, work.wide + at, image + at, mask_row(&work.dark, y), width, darker);
-    }
+    threshold_plain(image, width, height, darker, &work);
     const int32_t count = find_regions(&work.dark, &work);
     for (int32_t label = 0; label < count; label++) {
         const Region *region = work.regions + label;

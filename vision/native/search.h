@@ -18,6 +18,10 @@
 
 enum { MAX_SIDE_PX = 1 << 20, MAX_PIXELS = 1 << 28, DARK = 255 };
 
+/* Largest window of a mean, px. Boxes of the threshold, and rows of means and of the sharpened image that are kept: powers
+ * of two, more than the windows that read them are high. */
+enum { LARGE_WINDOW_PX = 21, BOXES = 5, MEAN_ROWS = 8, SHARP_ROWS = 32 };
+
 /* Negative results of the public functions. */
 enum { INVALID_SIZE = -1, INVALID_PARAMETERS = -2, TOO_MANY_RESULTS = -3 };
 
@@ -47,10 +51,10 @@ typedef struct { int32_t from, to, y, label; } Run;
 /* Bounding box of a region and its first pixel in row order; `parent` is the label of a region joined with it. */
 typedef struct { int32_t parent, left, right, top, bottom, first_x; } Region;
 
-/* Planes and lists of one search. */
+/* Rows, planes and lists of one search. */
 typedef struct {
-    uint8_t *smooth, *wide, *sharp;
-    uint16_t *column_sums, *window_sums;
+    uint8_t *smooth, *wide, *means, *sharp; /* one row, one row, MEAN_ROWS and SHARP_ROWS */
+    uint16_t *column_sums, *window_sums;    /* a padded row for each box, and one */
     Mask dark, eroded;
     Run *runs;
     Region *regions;
@@ -63,11 +67,9 @@ static inline uint8_t *mask_row(const Mask *mask, int32_t y) {
 }
 
 /* means.c */
-int box_mean(const uint8_t *image, int32_t width, int32_t height, int32_t window_px, uint8_t *means, Workspace *work);
 int threshold(const uint8_t *image, int32_t width, int32_t height, const SearchParameters *parameters,
               Workspace *work);
-void compare(const uint8_t *small, const uint8_t *large, const uint8_t *sharp, uint8_t *dark, int32_t width,
-             int32_t darker);
+void threshold_plain(const uint8_t *image, int32_t width, int32_t height, int32_t darker, Workspace *work);
 void keep_places(Mask *mask, const uint8_t *places, uint16_t *scratch);
 void erode(const Mask *mask, const Mask *eroded, uint8_t *scratch);
 

@@ -298,6 +298,11 @@ MIN_STREAK_PX2 = 0.02
 """Smallest streak, px², that markers are fitted again for. Chosen: that of 0.7 px; less turns no heading by
 its noise, and lenses have as much."""
 
+HOPELESS_RISE = 1.05
+"""Rise of the residuals by the first round from which on there are no others. Measured on 107 photographs
+with evidence of a streak: it is 1.03 at most where later rounds lower the residuals, and up to 3.8 where none
+does, because the markers have different streaks."""
+
 STREAK_ROUNDS, SETTLED_SHARE = 4, 0.05
 """Markers are fitted under a streak so often at most, until it changes by less than this share. Chosen: what
 is left is of second order in the change."""
@@ -328,7 +333,7 @@ def with_streak(
     if evidence.significance() < SIGNIFICANT or abs(evidence.change_px2()) < MIN_STREAK_PX2:
         return fits, good, plane
     promising = np.flatnonzero(is_promising(fits) & (worth | good))
-    streak_px2, old = 0j, fits.take(promising)
+    streak_px2, rise, old = 0j, 1.0, fits.take(promising)
     new, new_plane, telling = old, plane, np.flatnonzero(np.isin(promising, rows))
     for _ in range(STREAK_ROUNDS):
         evidence = streak_evidence(image, dictionary, new.take(telling), new_plane, noise, streak_px2)
@@ -346,7 +351,10 @@ def with_streak(
             noise,
             streak_px2=streak_px2,
         )
-    if np.median(new.noise_stds[telling] / old.noise_stds[telling]) > 1:
+        rise = float(np.median(new.noise_stds[telling] / old.noise_stds[telling]))
+        if rise > HOPELESS_RISE:
+            return fits, good, plane
+    if rise > 1:
         return fits, good, plane
     is_good = verified(new, image_noise(image), code_distance(dictionary))
     good = good.copy()

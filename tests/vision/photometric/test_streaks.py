@@ -59,6 +59,19 @@ def test_images_without_a_streak_are_fitted_once(monkeypatch, factors):
         score(5, 1, 1, **factors, motion_px=4.0)
 
 
+def test_a_rise_of_the_residuals_ends_the_rounds(monkeypatch):
+    """With a limit that no streak passes, one round is made, and the fits under round blur stay."""
+    called, real = [], refine.fit_any_blur
+    monkeypatch.setattr(refine, "fit_any_blur", lambda *given, **how: called.append(1) or real(*given, **how))
+    under_streak = score(11, 1, 1, motion_px=4.0, blur_px=0.8)
+    rounds = len(called)
+    monkeypatch.setattr(refine, "HOPELESS_RISE", 0.0)
+    ended = score(11, 1, 1, motion_px=4.0, blur_px=0.8)
+    assert len(called) == rounds + 1
+    monkeypatch.setattr(measure, "with_streak", is_round)
+    assert ended == score(11, 1, 1, motion_px=4.0, blur_px=0.8) != under_streak
+
+
 @pytest.mark.parametrize("toward_rad", [0.3, 1.4, 2.6])
 def test_the_streak_found_is_the_one_drawn(monkeypatch, place_markers, draw_markers, toward_rad):
     """Q = L² / 24 e^{2iφ} of 2 px, which another program draws: the mean of shifted images. A Gaussian takes

@@ -51,7 +51,7 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise, *, settled=Fals
         pixels = DesignMatrices(image, rows, homographies, appearances)
         with_margins = number > rounds - occlusion.FINAL_ROUNDS
         used = _used(pixels, values, limits, margins_px if with_margins else 0 * margins_px)
-        pixels.columns[~used] = 0.0
+        pixels.leave_out(~used)
         before = np.concatenate([[0], np.cumsum(pixels.columns[:, BLACK] > 0)])
         counts = np.diff(before[pixels.bounds])
         solution = LeastSquaresSolution.of_grams(pixels.gram_matrices().astype(float), counts)

@@ -111,7 +111,7 @@ def fuzz_patterns(library, rng, requests=60):
 
 def fuzz_fit(library, rng, images=150):
     """Read and draw markers of any size, shape and blur in random images; return the number of pixels."""
-    from skyherd.vision.native.records import MARKER, UNKNOWNS
+    from skyherd.vision.native.records import BLOCK_PX, MARKER, UNKNOWNS
 
     pixels = 0
     for _ in range(images):
@@ -125,17 +125,17 @@ def fuzz_fit(library, rng, images=150):
         markers["height_px"] *= 20
         image = rng.integers(0, 256, (height, width), dtype=np.uint8)
         cells = (rng.random((count, n + 2, n + 2)) < 0.5).astype(np.float32)
-        rows = library.list_pixels(markers, image.shape)
-        bends = np.zeros((len(rows.columns), 3), dtype=np.float32)
-        library.fill_elliptic(image, markers, rng.normal(size=(count, 6)), cells, 6.0, rows, bends)
-        library.fill_round(image, markers, cells, 6.0, rows)
+        blocks = library.list_pixels(markers, image.shape)
+        bends = np.zeros((len(blocks.columns), 3, BLOCK_PX), dtype=np.float32)
+        library.fill_elliptic(image, markers, rng.normal(size=(count, 6)), cells, 6.0, blocks, bends)
+        library.fill_round(image, markers, cells, 6.0, blocks)
         solutions = rng.normal(size=(count, UNKNOWNS)).astype(np.float32)
-        library.gram_matrices(rows)
-        library.residuals(rows, solutions)
-        library.cell_sums(rows, solutions, n)
+        library.gram_matrices(blocks)
+        library.residuals(blocks, solutions)
+        library.cell_sums(blocks, solutions, n)
         picked = np.arange(count)[rng.random(count) < 0.5]
-        library.squared_box_sums(rows, solutions, np.repeat(solutions[:, None], 3, axis=1), picked, 2)
-        pixels += len(rows.columns) + fuzz_marker_fit(library, rng, image, cells, count)
+        library.squared_box_sums(blocks, solutions, np.repeat(solutions[:, None], 3, axis=1), picked, 2)
+        pixels += int(blocks.counts.sum()) + fuzz_marker_fit(library, rng, image, cells, count)
     return pixels
 
 

@@ -1,4 +1,4 @@
-/* Marker under a Gaussian blur at eight pixels at a time, and the columns of the model there.
+/* Marker under a Gaussian blur at some pixels at a time, and the columns of the model there.
  *
  * With black as 0 and white as 1, a marker on an endless white ground under a Gaussian of standard deviation σ separates:
  *
@@ -12,9 +12,6 @@
 #define SKYHERD_COLUMNS_H
 
 #include "fit.h"
-#include "floats.h"
-
-#include <string.h>
 
 enum { MAX_EDGES = MAX_CELLS + 1, BEYOND = 5, ROWS = MAX_CELLS + 2 * BEYOND, MAX_ORDERS = 5 };
 
@@ -93,8 +90,27 @@ INLINE Ground ground_at(Floats x, Floats y, float half_card, Floats x_rate, Floa
 /* What a pixel shows: T, its slopes times the weight, T_log σ, and the ground. */
 typedef struct { Floats white, slope_x, slope_y, log_blur; Ground ground; } Shown;
 
-/* Write the columns of the model at `count` of eight pixels, each a row of 16 floats. */
-INLINE void write_columns(const Shown *shown, Floats x, Floats y, float ratio, Floats grey, int count, float *rows) {
+/* Part of a block of pixels: places, lines and columns of the image, grey levels, which of them are the marker's own, and
+ * where the first column of the model is written. */
+typedef struct { Floats x, y, grey; Ints v, u, within; int64_t columns; } Part;
+
+INLINE Part part_at(const Scene *scene, const MarkerBlocks *given, int64_t k, int64_t block, int32_t first) {
+    const int64_t rest = given->counts[k] - (block - given->bounds[k]) * BLOCK_PX - first;
+    const float *places = given->places + block * (2 * BLOCK_PX) + first;
+    const int32_t *pixels = given->pixels + block * (2 * BLOCK_PX) + first;
+    Part part = {.x = load(places), .y = load(places + BLOCK_PX), .columns = block * (COLUMNS * BLOCK_PX) + first};
+    memcpy(&part.v, pixels, sizeof part.v);
+    memcpy(&part.u, pixels + BLOCK_PX, sizeof part.u);
+    for (int i = 0; i < LANES; i++) {
+        part.grey[i] = scene->image[pixels[i] * scene->width + pixels[i + BLOCK_PX]];
+        part.within[i] = i < rest ? -1 : 0;
+    }
+    return part;
+}
+
+/* Write the columns of the model at a part of a block. */
+INLINE void write_columns(const Shown *shown, const Part *part, float ratio, float *written) {
+    const Floats x = part->x, y = part->y;
     const Floats weight = shown->ground.weight, slope_x = shown->slope_x, slope_y = shown->slope_y;
     const Floats contrast = shown->white * weight, grow = -(x * slope_x + y * slope_y);
     const Floats light = ratio * weight + contrast;
@@ -114,34 +130,19 @@ INLINE void write_columns(const Shown *shown, Floats x, Floats y, float ratio, F
     columns[KEYSTONE_X] = -grow * x;
     columns[KEYSTONE_Y] = -grow * y;
     columns[TONE] = contrast * (1.0f - shown->white);
-    columns[PIXEL] = (grey - 128.0f) * weight;
-    for (int i = 0; i < count; i++)
-        for (int c = 0; c < COLUMNS; c++) rows[i * COLUMNS + c] = columns[c][i];
-}
-
-/* Eight pixels from row `row` on: places, grey levels, and how many there are; the rest repeats the last one. */
-typedef struct { Floats x, y, grey; int32_t count, u[LANES], v[LANES]; } Block;
-
-INLINE Block block_of(const Scene *scene, const MarkerRows *given, int64_t row, int64_t end) {
-    Block block = {{0}, {0}, {0}, end - row < LANES ? (int32_t)(end - row) : LANES, {0}, {0}};
-    for (int i = 0; i < LANES; i++) {
-        const int64_t at = row + (i < block.count ? i : block.count - 1);
-        block.x[i] = given->places[2 * at];
-        block.y[i] = given->places[2 * at + 1];
-        block.v[i] = given->pixels[2 * at];
-        block.u[i] = given->pixels[2 * at + 1];
-        block.grey[i] = scene->image[block.v[i] * scene->width + block.u[i]];
-    }
-    return block;
+    columns[PIXEL] = (part->grey - 128.0f) * weight;
+    for (int c = 0; c < COLUMNS; c++)
+        store(choose(part->within, columns[c], (Floats){0}), written + part->columns + c * BLOCK_PX);
 }
 
 /* Return whether the sizes are valid, and all pixels are within the image. */
-INLINE int are_valid(const Scene *scene, const MarkerRows *given) {
+INLINE int are_valid(const Scene *scene, const MarkerBlocks *given) {
     if (scene->n <= 0 || scene->n > MAX_CELLS || !are_bounds_valid(given)) return 0;
     int outside = 0;
-    for (int64_t row = given->bounds[0]; row < given->bounds[given->count]; row++) {
-        const int64_t v = given->pixels[2 * row], u = given->pixels[2 * row + 1];
-        outside |= (v < 0) | (v >= scene->height) | (u < 0) | (u >= scene->width);
+    for (int64_t block = given->bounds[0]; block < given->bounds[given->count]; block++) {
+        const int32_t *v = given->pixels + block * (2 * BLOCK_PX), *u = v + BLOCK_PX;
+        for (int i = 0; i < BLOCK_PX; i++)
+            outside |= (v[i] < 0) | (v[i] >= scene->height) | (u[i] < 0) | (u[i] >= scene->width);
     }
     return !outside;
 }

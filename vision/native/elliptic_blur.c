@@ -47,10 +47,10 @@ INLINE PixelBlur blur_at(const CentreBlur *blur, Floats x, Floats y, Floats w_sq
 }
 
 /* Return w² of the perspective at pixels, px from the centre: (1 / (1 - Re(h̄ p)))². */
-INLINE Floats w_square_at(const Marker *marker, const Block *block) {
+INLINE Floats w_square_at(const Marker *marker, const Part *part) {
     Floats square = {0};
     for (int i = 0; i < LANES; i++) {
-        const double right = block->u[i] - marker->center.re, below = block->v[i] - marker->center.im;
+        const double right = part->u[i] - marker->center.re, below = part->v[i] - marker->center.im;
         const double w = 1 / (1 - (marker->perspective.re * right + marker->perspective.im * below));
         square[i] = (float)(w * w);
     }
@@ -89,31 +89,29 @@ INLINE Blurred blurred_at(int count, const CellBits *bits, const Edges *across, 
 
 /* Return T and its derivatives, and write T_xx, T_xy and T_yy times the weights. */
 INLINE Shown shown_of(const Blurred *sums, const CentreBlur *blur, const PixelBlur *own, Floats w_square, Ground ground,
-                      int count, float *bends) {
+                      Ints within, float *bends) {
     const Floats xx = -sums->xx * own->x_rate * own->x_rate, xy = -sums->xy * own->x_rate * own->y_rate,
                  yy = -sums->yy * own->y_rate * own->y_rate;
-    const Floats bend_xx = xx * ground.weight, bend_xy = xy * ground.weight, bend_yy = yy * ground.weight;
-    for (int i = 0; i < count; i++) {
-        bends[3 * i] = bend_xx[i];
-        bends[3 * i + 1] = bend_xy[i];
-        bends[3 * i + 2] = bend_yy[i];
-    }
+    const Floats weight = choose(within, ground.weight, (Floats){0});
+    store(xx * weight, bends);
+    store(xy * weight, bends + BLOCK_PX);
+    store(yy * weight, bends + 2 * BLOCK_PX);
     const Floats log_blur = w_square * (blur->by_xx * xx + blur->by_yy * yy + blur->by_xy * xy);
     return (Shown){1.0f - sums->g, -sums->x * own->x_rate * ground.weight, -sums->y * own->y_rate * ground.weight,
                    log_blur, ground};
 }
 
-/* Fill in the rows of one marker; `count` edges along each axis, of which all are if `is_all`. */
-INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerRows *given, int64_t k,
+/* Fill in the blocks of one marker; `count` edges along each axis, of which all are if `is_all`. */
+INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerBlocks *given, int64_t k,
                         const CentreBlur *blur, float *bends) {
     const Marker *marker = scene->markers + k;
-    const int64_t sides = scene->n + 2, end = given->bounds[k + 1];
+    const int64_t sides = scene->n + 2;
     const CellBits bits = bits_of(scene->cells + k * sides * sides, scene->n);
     const float n = (float)scene->n, half = n / 2, half_card = (float)marker->half_card;
     Edges across, down;
-    for (int64_t row = given->bounds[k]; row < end; row += LANES) {
-        const Block block = block_of(scene, given, row, end);
-        const Floats x = block.x, y = block.y, w_square = w_square_at(marker, &block);
+    for (int64_t at = given->bounds[k] * BLOCK_PX; at < given->bounds[k + 1] * BLOCK_PX; at += LANES) {
+        const Part part = part_at(scene, given, k, at / BLOCK_PX, at % BLOCK_PX);
+        const Floats x = part.x, y = part.y, w_square = w_square_at(marker, &part);
         const PixelBlur own = blur_at(blur, x, y, w_square);
         compute_edges(count, is_all, MAX_ORDERS, scene->n, x * n + half, own.x_rate / n, &across);
         compute_edges(count, is_all, MAX_ORDERS, scene->n, y * n + half, own.y_rate / n, &down);
@@ -121,18 +119,18 @@ INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerR
         Ground ground = {{0}, all(1.0f)};
         if (marker->half_card < INFINITY)
             ground = ground_at(x, y, half_card, own.x_rate, own.y_rate, scene->texture_square);
-        const Shown shown = shown_of(&sums, blur, &own, w_square, ground, block.count, bends + 3 * row);
-        write_columns(&shown, x, y, (float)marker->black_ratio, block.grey, block.count,
-                      given->columns + row * COLUMNS);
+        float *const own_bends = bends + at / BLOCK_PX * (3 * BLOCK_PX) + at % BLOCK_PX;
+        const Shown shown = shown_of(&sums, blur, &own, w_square, ground, part.within, own_bends);
+        write_columns(&shown, &part, (float)marker->black_ratio, given->columns);
     }
 }
 
 /* Return the largest reach of the blur at a marker's pixels, in cells. */
-static float reach_of(const Scene *scene, const MarkerRows *given, int64_t k, const CentreBlur *blur) {
+static float reach_of(const Scene *scene, const MarkerBlocks *given, int64_t k, const CentreBlur *blur) {
     Floats largest = {0};
-    for (int64_t row = given->bounds[k]; row < given->bounds[k + 1]; row += LANES) {
-        const Block block = block_of(scene, given, row, given->bounds[k + 1]);
-        const PixelBlur own = blur_at(blur, block.x, block.y, w_square_at(scene->markers + k, &block));
+    for (int64_t at = given->bounds[k] * BLOCK_PX; at < given->bounds[k + 1] * BLOCK_PX; at += LANES) {
+        const Part part = part_at(scene, given, k, at / BLOCK_PX, at % BLOCK_PX);
+        const PixelBlur own = blur_at(blur, part.x, part.y, w_square_at(scene->markers + k, &part));
         largest = larger(largest, larger(own.sigma_x, own.sigma_y));
     }
     float reach = 0;
@@ -140,11 +138,11 @@ static float reach_of(const Scene *scene, const MarkerRows *given, int64_t k, co
     return REACH_SIGMAS * (float)scene->n * reach;
 }
 
-/* Fill in the weighted columns as `fill_round`, and bends (rows, 3): T_xx, T_xy and T_yy, weighted.
+/* Fill in the weighted columns as `fill_round`, and bends (blocks, 3, BLOCK_PX): T_xx, T_xy and T_yy, weighted.
  *
  * Of the markers, sigma, anisotropy and the stretches are not used. blurs (count, 6) are the variances along x and y and
  * the covariance of the blur, in sides squared, and by how much each of them changes with the logarithm of the blur. */
-int32_t fill_elliptic(const Scene *scene, const MarkerRows *given, const double *blurs, float *bends) {
+int32_t fill_elliptic(const Scene *scene, const MarkerBlocks *given, const double *blurs, float *bends) {
     if (!are_valid(scene, given)) return FIT_INVALID_SIZE;
     for (int64_t k = 0; k < given->count; k++) {
         const CentreBlur blur = centre_blur(scene->markers + k, blurs + 6 * k);

@@ -12,7 +12,7 @@
  * has the geometry of a marker. image_noise.c reads the noise of an image from the image alone.
  *
  * The formulas are those of vision/photometric/fitting/design_matrix.py. Pixels are in the order of the markers, line by
- * line: marker k has the rows from bounds[k] to bounds[k + 1]. All sums run in one order, so that all builds give equal
+ * line. All sums run in one order, so that all builds give equal
  * bytes. Lengths are in marker sides, unless a unit is given; x is to the marker's right, y down.
  */
 #ifndef SKYHERD_FIT_H
@@ -22,6 +22,7 @@
 #include <stdint.h>
 
 #include "complex_numbers.h"
+#include "floats.h"
 
 /* Columns of the model, and the pixels' own values; design_matrix.py has the same names. */
 enum {
@@ -29,7 +30,7 @@ enum {
     KEYSTONE_X, KEYSTONE_Y, TONE, PIXEL, COLUMNS, UNKNOWNS = PIXEL
 };
 
-enum { MAX_CELLS = 20 };
+enum { MAX_CELLS = 20, BLOCK_PX = 16 };
 
 /* Negative results of the functions. */
 enum { FIT_INVALID_SIZE = -4, FIT_NO_MEMORY = -5 };
@@ -49,14 +50,16 @@ typedef struct {
     double x_stretch, y_stretch;    /* standard deviations of the blur along x and y, over sigma */
 } Marker;
 
-/* Pixels of markers, and the model's columns at them: 0 for pixels that are not used. */
+/* Pixels of markers, and the model's columns at them: 0 for pixels that are not used. They are kept in blocks of BLOCK_PX,
+ * so that one instruction reads a value of many pixels. A marker's last block repeats its last pixel, with columns of 0. */
 typedef struct {
-    const int64_t *bounds;          /* (count + 1,) */
-    const float *places;            /* (rows, 2), x and y */
-    const int32_t *pixels;          /* (rows, 2), v and u */
-    float *columns;                 /* (rows, 16) */
-    int64_t count, rows;
-} MarkerRows;
+    const int64_t *bounds;          /* (count + 1,): marker k has the blocks from bounds[k] to bounds[k + 1] */
+    const int64_t *counts;          /* (count,): pixels of each marker */
+    const float *places;            /* (blocks, 2, BLOCK_PX), x and y */
+    const int32_t *pixels;          /* (blocks, 2, BLOCK_PX), v and u */
+    float *columns;                 /* (blocks, 16, BLOCK_PX) */
+    int64_t count, blocks;
+} MarkerBlocks;
 
 /* Image and markers: the arguments of both functions that fill in columns. */
 typedef struct {
@@ -150,18 +153,18 @@ typedef struct {
     int32_t free;                   /* number of unknowns that are not held */
 } Solutions;
 
-int64_t count_pixels(const Marker *markers, int64_t count, int64_t height, int64_t width);
-int64_t list_pixels(const Marker *markers, int64_t count, int64_t height, int64_t width, int64_t *bounds, float *places,
-                    int32_t *pixels, int64_t room);
-int are_bounds_valid(const MarkerRows *given);
-int32_t fill_round(const Scene *scene, const MarkerRows *given);
-int32_t fill_elliptic(const Scene *scene, const MarkerRows *given, const double *blurs, float *bends);
+int64_t count_blocks(const Marker *markers, int64_t count, int64_t height, int64_t width);
+int64_t list_pixels(const Marker *markers, int64_t count, int64_t height, int64_t width, int64_t *bounds, int64_t *counts,
+                    float *places, int32_t *pixels, int64_t room);
+int are_bounds_valid(const MarkerBlocks *given);
+int32_t fill_round(const Scene *scene, const MarkerBlocks *given);
+int32_t fill_elliptic(const Scene *scene, const MarkerBlocks *given, const double *blurs, float *bends);
 
-int32_t gram_matrices(const MarkerRows *given, float *grams);
-int32_t residuals(const MarkerRows *given, const float *solutions, float *left);
-int32_t add_over_cells(const MarkerRows *given, const float *solutions, int32_t n, double *sums, double *used,
+int32_t gram_matrices(const MarkerBlocks *given, float *grams);
+int32_t residuals(const MarkerBlocks *given, const float *solutions, float *left);
+int32_t add_over_cells(const MarkerBlocks *given, const float *solutions, int32_t n, double *sums, double *used,
                        double *read, double *peaks);
-int32_t add_over_boxes(const MarkerRows *given, const int64_t *picked, int64_t picked_count, const float *solutions,
+int32_t add_over_boxes(const MarkerBlocks *given, const int64_t *picked, int64_t picked_count, const float *solutions,
                        const float *influences, int32_t quantities, int32_t box_px, double *small, double *large,
                        int64_t *boxes);
 

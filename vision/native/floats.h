@@ -1,19 +1,39 @@
-/* Eight single-precision numbers at a time, and the normal density and distribution of them.
+/* Eight or sixteen single-precision numbers at a time, and the normal density and distribution of them.
  *
- * The lanes are the same in all builds, so that all give equal bytes.
+ * Each lane is computed alone, and sums in double precision have eight lanes in all builds, so that all give equal bytes.
  */
 #ifndef SKYHERD_FLOATS_H
 #define SKYHERD_FLOATS_H
 
 #include <math.h>
 #include <stdint.h>
+#include <string.h>
 
+/* Numbers at a time. A file whose sums over lanes are to be the same in all builds defines FLOATS_LANES itself. */
+#if defined(FLOATS_LANES)
+enum { LANES = FLOATS_LANES };
+#elif defined(__AVX512F__)
+enum { LANES = 16 };
+#else
 enum { LANES = 8 };
+#endif
+
+enum { EIGHT = 8 };
 
 typedef float Floats __attribute__((vector_size(4 * LANES)));
 typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
+typedef float EightFloats __attribute__((vector_size(4 * EIGHT)));
+typedef double Doubles __attribute__((vector_size(8 * EIGHT)));
 
 #define INLINE static inline __attribute__((always_inline))
+
+INLINE Floats load(const float *at) {
+    Floats values;
+    memcpy(&values, at, sizeof values);
+    return values;
+}
+
+INLINE void store(Floats values, float *at) { memcpy(at, &values, sizeof values); }
 
 INLINE Floats all(float value) { return value - (Floats){0}; }
 INLINE Floats choose(Ints where, Floats a, Floats b) { return (Floats)(((Ints)a & where) | ((Ints)b & ~where)); }
@@ -22,6 +42,20 @@ INLINE Floats smaller(Floats a, Floats b) { return choose(a < b, a, b); }
 INLINE Floats absolute(Floats a) { return (Floats)((Ints)a & 0x7fffffff); }
 INLINE Ints whole(Floats a) { return __builtin_convertvector(a, Ints); }
 INLINE Floats number(Ints a) { return __builtin_convertvector(a, Floats); }
+
+/* Add numbers to eight sums in double precision, eight after eight. */
+INLINE void add_in_double(Floats values, Doubles *sums) {
+    EightFloats eight[LANES / EIGHT];
+    memcpy(eight, &values, sizeof eight);
+    for (int i = 0; i < LANES / EIGHT; i++) *sums += __builtin_convertvector(eight[i], Doubles);
+}
+
+/* Return the sum of all lanes: of those 4, 2 and 1 apart, in this order. */
+INLINE double sum_of(Doubles a) {
+    for (int apart = EIGHT / 2; apart; apart /= 2)
+        for (int i = 0; i < apart; i++) a[i] += a[i + apart];
+    return a[0];
+}
 
 INLINE Floats square_root(Floats a) {
     for (int i = 0; i < LANES; i++) a[i] = sqrtf(a[i]);

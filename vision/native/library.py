@@ -14,6 +14,7 @@ from skyherd.native.loading import Signature, declare, library_of
 from skyherd.vision.native.follow_records import FollowRequest, FollowResults
 from skyherd.vision.native.pattern_records import PATTERN_FIT, PatternRequest
 from skyherd.vision.native.records import (
+    BLOCK_PX,
     COLUMNS,
     ERRORS,
     FIT,
@@ -21,11 +22,11 @@ from skyherd.vision.native.records import (
     MAX_SECOND_DIFFERENCE,
     PLANE,
     UNKNOWNS,
+    Blocks,
     FitRequest,
     Floats,
-    MarkerRows,
+    MarkerBlocks,
     PlaneLimits,
-    Rows,
     Scene,
     VisibleRequest,
     scene_structure,
@@ -37,19 +38,23 @@ from skyherd.vision.native.search_library import SearchFunctions, search_signatu
 class Library(SearchFunctions):
     """One loaded build of the library, with all of its functions."""
 
-    def list_pixels(self, markers: npt.NDArray[np.void], shape: tuple[int, int]) -> MarkerRows:
+    def list_pixels(self, markers: npt.NDArray[np.void], shape: tuple[int, int]) -> MarkerBlocks:
         """Return the pixels of N markers (`MARKER`) in an image of a shape, with columns not filled in.
 
         Raises:
             InputError: `markers` has another type, shape or memory layout.
         """
         given = address("markers", markers, MARKER, (markers.size,)), markers.size, *shape
-        room = self.functions.count_pixels(*given)
-        bounds, places = np.empty(markers.size + 1, dtype=np.int64), np.empty((room, 2), dtype=np.float32)
-        pixels = np.empty((room, 2), dtype=np.int32)
-        results = bounds.ctypes.data, places.ctypes.data, pixels.ctypes.data
-        rows = check(self.functions.list_pixels(*given, *results, room), ERRORS)
-        return MarkerRows(bounds, places[:rows], pixels[:rows], np.empty((rows, COLUMNS), dtype=np.float32))
+        room = self.functions.count_blocks(*given)
+        bounds, counts = np.empty(markers.size + 1, dtype=np.int64), np.empty(markers.size, dtype=np.int64)
+        places, pixels = (
+            np.empty((room, 2, BLOCK_PX), dtype=np.float32),
+            np.empty((room, 2, BLOCK_PX), np.int32),
+        )
+        results = (array.ctypes.data for array in (bounds, counts, places, pixels))
+        blocks = check(self.functions.list_pixels(*given, *results, room), ERRORS)
+        columns = np.empty((blocks, COLUMNS, BLOCK_PX), dtype=np.float32)
+        return MarkerBlocks(bounds, counts, places[:blocks], pixels[:blocks], columns)
 
     def fill_round(
         self,
@@ -57,7 +62,7 @@ class Library(SearchFunctions):
         markers: npt.NDArray[np.void],
         cells: Floats,
         texture: float,
-        rows: MarkerRows,
+        blocks: MarkerBlocks,
         first: int = 0,
         end: int | None = None,
     ) -> None:
@@ -68,7 +73,7 @@ class Library(SearchFunctions):
             markers: (N,) of `MARKER`.
             cells: (N, n + 2, n + 2) 1 where a cell is black, 0 where it is white and on the ground around.
             texture: standard deviation of the ground's texture over that of the noise.
-            rows: of the N markers, whose columns are written.
+            blocks: of the N markers, whose columns are written.
             first: index of the first marker.
             end: index behind the last one; N if left out.
 
@@ -76,7 +81,7 @@ class Library(SearchFunctions):
             InputError: an argument has another type, shape or memory layout, or a size beyond its limit.
         """
         scene = scene_structure(image, markers, cells, texture, first)
-        check(self.functions.fill_round(scene, rows.structure(first, end)), ERRORS)
+        check(self.functions.fill_round(scene, blocks.structure(first, end)), ERRORS)
 
     def fill_elliptic(
         self,
@@ -85,7 +90,7 @@ class Library(SearchFunctions):
         blurs: Array,
         cells: Floats,
         texture: float,
-        rows: MarkerRows,
+        blocks: MarkerBlocks,
         bends: Floats,
         first: int = 0,
         end: int | None = None,
@@ -99,8 +104,8 @@ class Library(SearchFunctions):
                 in sides squared, and their changes with the logarithm of the blur.
             cells: as there.
             texture: as there.
-            rows: as there.
-            bends: (P, 3) result: T_xx, T_xy and T_yy, times the pixels' weights.
+            blocks: as there.
+            bends: (B, 3, BLOCK_PX) result: T_xx, T_xy and T_yy, times the pixels' weights.
             first: as there.
             end: as there.
 
@@ -109,32 +114,32 @@ class Library(SearchFunctions):
         """
         scene = scene_structure(image, markers, cells, texture, first)
         tables = address("blurs", blurs, np.float64, (markers.size, 6)) + 48 * first
-        written = address("bends", bends, np.float32, (len(rows.columns), 3))
-        check(self.functions.fill_elliptic(scene, rows.structure(first, end), tables, written), ERRORS)
+        written = address("bends", bends, np.float32, (len(blocks.columns), 3, BLOCK_PX))
+        check(self.functions.fill_elliptic(scene, blocks.structure(first, end), tables, written), ERRORS)
 
-    def gram_matrices(self, rows: MarkerRows) -> Floats:
+    def gram_matrices(self, blocks: MarkerBlocks) -> Floats:
         """Return the inner products (N, 16, 16) of the weighted columns.
 
         Raises:
-            InputError: an array of `rows` has another type, shape or memory layout.
+            InputError: an array of `blocks` has another type, shape or memory layout.
         """
-        grams = np.empty((rows.bounds.size - 1, COLUMNS, COLUMNS), dtype=np.float32)
-        check(self.functions.gram_matrices(rows.structure(), grams.ctypes.data), ERRORS)
+        grams = np.empty((blocks.bounds.size - 1, COLUMNS, COLUMNS), dtype=np.float32)
+        check(self.functions.gram_matrices(blocks.structure(), grams.ctypes.data), ERRORS)
         return grams
 
-    def residuals(self, rows: MarkerRows, solutions: Floats) -> Floats:
+    def residuals(self, blocks: MarkerBlocks, solutions: Floats) -> Floats:
         """Return the weighted residuals (P,), grey levels, of the model at `solutions` (N, 15).
 
         Raises:
             InputError: an array has another type, shape or memory layout.
         """
-        left = np.zeros(len(rows.columns), dtype=np.float32)
-        model = address("solutions", solutions, np.float32, (rows.bounds.size - 1, UNKNOWNS))
-        check(self.functions.residuals(rows.structure(), model, left.ctypes.data), ERRORS)
-        return left
+        left = np.zeros((len(blocks.columns), BLOCK_PX), dtype=np.float32)
+        model = address("solutions", solutions, np.float32, (blocks.bounds.size - 1, UNKNOWNS))
+        check(self.functions.residuals(blocks.structure(), model, left.ctypes.data), ERRORS)
+        return left[blocks.is_pixel()]
 
     def cell_sums(
-        self, rows: MarkerRows, solutions: Floats, n_cells: int
+        self, blocks: MarkerBlocks, solutions: Floats, n_cells: int
     ) -> tuple[Array, Array, Array, Array]:
         """Return residuals of the model at `solutions` (N, 15), summed over cells.
 
@@ -145,21 +150,21 @@ class Library(SearchFunctions):
         Raises:
             InputError: an array has another type, shape or memory layout, or there are more than 20 cells.
         """
-        count = rows.bounds.size - 1
+        count = blocks.bounds.size - 1
         sums, used, read = np.zeros((3, count, n_cells, n_cells))
         peaks = np.zeros(count)
         model = address("solutions", solutions, np.float32, (count, UNKNOWNS))
         results = (array.ctypes.data for array in (sums, used, read, peaks))
-        check(self.functions.add_over_cells(rows.structure(), model, n_cells, *results), ERRORS)
+        check(self.functions.add_over_cells(blocks.structure(), model, n_cells, *results), ERRORS)
         return sums, used, read, peaks
 
     def squared_box_sums(
-        self, rows: MarkerRows, solutions: Floats, influences: Floats, picked: IntArray, box_px: int
+        self, blocks: MarkerBlocks, solutions: Floats, influences: Floats, picked: IntArray, box_px: int
     ) -> tuple[Array, Array, IntArray]:
         """Return influences times residuals, summed over boxes of pixels and squared, of some markers.
 
         Args:
-            rows: pixels of N markers.
+            blocks: pixels of N markers.
             solutions: (N, 15) of the model.
             influences: (N, K, 15) by how much each of K quantities changes with the model's columns.
             picked: (Q,) indices of markers.
@@ -172,7 +177,7 @@ class Library(SearchFunctions):
         Raises:
             InputError: an argument has another type, shape or memory layout, or is out of range.
         """
-        count, quantities = rows.bounds.size - 1, influences.shape[1]
+        count, quantities = blocks.bounds.size - 1, influences.shape[1]
         small, large = np.zeros((2, picked.size, quantities))
         boxes = np.zeros(picked.size, dtype=np.int64)
         given = (
@@ -182,7 +187,7 @@ class Library(SearchFunctions):
             address("influences", influences, np.float32, (count, quantities, UNKNOWNS)),
         )
         results = (array.ctypes.data for array in (small, large, boxes))
-        check(self.functions.add_over_boxes(rows.structure(), *given, quantities, box_px, *results), ERRORS)
+        check(self.functions.add_over_boxes(blocks.structure(), *given, quantities, box_px, *results), ERRORS)
         return small, large, boxes
 
     def second_differences(self, image: Image, darkest: int, brightest: int) -> IntArray:
@@ -351,17 +356,27 @@ class Library(SearchFunctions):
 def declared(functions: ctypes.CDLL) -> Library:
     """Return a loaded library with the types of its functions declared."""
     pointer, integer, long = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64
-    scene, rows = ctypes.POINTER(Scene), ctypes.POINTER(Rows)
+    scene, blocks = ctypes.POINTER(Scene), ctypes.POINTER(Blocks)
     signatures: dict[str, Signature] = {
         **search_signatures(),
-        "count_pixels": (long, pointer, long, long, long),
-        "list_pixels": (long, pointer, long, long, long, pointer, pointer, pointer, long),
-        "fill_round": (integer, scene, rows),
-        "fill_elliptic": (integer, scene, rows, pointer, pointer),
-        "gram_matrices": (integer, rows, pointer),
-        "residuals": (integer, rows, pointer, pointer),
-        "add_over_cells": (integer, rows, pointer, integer, *(pointer,) * 4),
-        "add_over_boxes": (integer, rows, pointer, long, pointer, pointer, integer, integer, *(pointer,) * 3),
+        "count_blocks": (long, pointer, long, long, long),
+        "list_pixels": (long, pointer, long, long, long, *(pointer,) * 4, long),
+        "fill_round": (integer, scene, blocks),
+        "fill_elliptic": (integer, scene, blocks, pointer, pointer),
+        "gram_matrices": (integer, blocks, pointer),
+        "residuals": (integer, blocks, pointer, pointer),
+        "add_over_cells": (integer, blocks, pointer, integer, *(pointer,) * 4),
+        "add_over_boxes": (
+            integer,
+            blocks,
+            pointer,
+            long,
+            pointer,
+            pointer,
+            integer,
+            integer,
+            *(pointer,) * 3,
+        ),
         "count_second_differences": (integer, pointer, long, long, integer, integer, pointer),
         "hold_unknowns": (integer, *(pointer,) * 3, long, integer, integer, pointer, pointer),
         "fit_markers": (integer, pointer, pointer, pointer, pointer),

@@ -50,10 +50,10 @@ static double cell_means_of(const FitRequest *given, const Steps *steps, const S
     const int32_t cells = given->n * given->n;
     double used[CELLS] = {0}, read[CELLS] = {0}, peak = 0;
     float values[UNKNOWNS];
-    const MarkerRows rows = rows_of(steps->pixels + k);
+    const MarkerBlocks blocks = blocks_of(steps->pixels + k);
     to_floats(solutions->values + k * UNKNOWNS, UNKNOWNS, values);
     for (int32_t i = 0; i < cells; i++) means[i] = 0;
-    add_over_cells(&rows, values, given->n, means, used, read, &peak);
+    add_over_cells(&blocks, values, given->n, means, used, read, &peak);
     for (int32_t i = 0; i < cells; i++) means[i] /= used[i] > 1 ? used[i] : 1;
     return peak;
 }
@@ -117,7 +117,7 @@ static int32_t take_steps(const FitRequest *given, Steps *steps, Plane *plane) {
             const int32_t result = draw_marker(given, steps->start + k, steps->appearances + k, steps->round_in_image,
                                                pixels, k);
             if (result) return result;
-            solve_marker(given, pixels, pixels->bounds[1], &steps->free, k);
+            solve_marker(given, pixels, pixels->count, &steps->free, k);
             if (number > 1) steps->right[k] = cells_are_right(given, steps, k);
         }
         const int32_t result = hold_common_unknowns(given, steps->start, steps->right, number > 1, &steps->free, plane,
@@ -159,8 +159,8 @@ static int32_t variance_ratios(const FitRequest *given, const Steps *steps, int6
     int64_t boxes = 0;
     to_floats(steps->held.values + k * UNKNOWNS, UNKNOWNS, values);
     to_floats(&influences[0][0], POSE * UNKNOWNS, by);
-    const MarkerRows rows = rows_of(steps->pixels + k);
-    const int32_t result = add_over_boxes(&rows, &picked, 1, values, by, POSE, given->constants->box_px, small, large,
+    const MarkerBlocks blocks = blocks_of(steps->pixels + k);
+    const int32_t result = add_over_boxes(&blocks, &picked, 1, values, by, POSE, given->constants->box_px, small, large,
                                           &boxes);
     for (int q = 0; q < POSE; q++)
         ratios[q] = (2 * large[q] - small[q]) / (given->constants->kept_share * variances[q]);

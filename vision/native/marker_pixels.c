@@ -62,22 +62,23 @@ static void blur_table(const FitRequest *given, const Homography *at, double sig
     }
 }
 
-/* Give a marker's arrays room for so many pixels. */
+/* Give a marker's arrays room for so many blocks of pixels. */
 static int32_t make_room(Pixels *own, int64_t room) {
     if (room <= own->room) return 0;
     free(own->columns);
     own->room = 0;
-    own->columns = malloc((size_t)room * ((COLUMNS + 2 + 3) * sizeof *own->columns + 2 * sizeof *own->pixels));
+    const size_t pixels = (size_t)room * BLOCK_PX;
+    own->columns = malloc(pixels * ((COLUMNS + 2 + 3) * sizeof *own->columns + 2 * sizeof *own->pixels));
     if (!own->columns) return FIT_NO_MEMORY;
     own->room = room;
-    own->places = own->columns + room * COLUMNS;
-    own->bends = own->places + room * 2;
-    own->pixels = (int32_t *)(own->bends + room * 3);
+    own->places = own->columns + pixels * COLUMNS;
+    own->bends = own->places + pixels * 2;
+    own->pixels = (int32_t *)(own->bends + pixels * 3);
     return 0;
 }
 
-MarkerRows rows_of(const Pixels *own) {
-    return (MarkerRows){own->bounds, own->places, own->pixels, own->columns, 1, own->bounds[1]};
+MarkerBlocks blocks_of(const Pixels *own) {
+    return (MarkerBlocks){own->bounds, &own->count, own->places, own->pixels, own->columns, 1, own->bounds[1]};
 }
 
 void release_pixels(Pixels *own) { free(own->columns); }
@@ -88,25 +89,25 @@ int32_t draw_marker(const FitRequest *given, const Homography *at, const Appeara
     const int elliptic = is_elliptic(given, at, round_in_image);
     const int64_t sides = given->n + 2;
     Marker marker = marker_of(at, look, round_in_image, given->constants);
-    const int32_t result = make_room(own, count_pixels(&marker, 1, given->height, given->width));
+    const int32_t result = make_room(own, count_blocks(&marker, 1, given->height, given->width));
     if (result) return result;
-    list_pixels(&marker, 1, given->height, given->width, own->bounds, own->places, own->pixels, own->room);
+    list_pixels(&marker, 1, given->height, given->width, own->bounds, &own->count, own->places, own->pixels, own->room);
     const float texture = (float)given->texture;
     const Scene scene = {given->image, &marker, given->cells + k * sides * sides, given->height, given->width, given->n,
                          texture * texture};
-    const MarkerRows rows = rows_of(own);
-    if (!elliptic) return fill_round(&scene, &rows);
+    const MarkerBlocks blocks = blocks_of(own);
+    if (!elliptic) return fill_round(&scene, &blocks);
     double table[6];
     blur_table(given, at, marker.sigma, table);
     marker.keystone = keystone_of(at, at->perspective);
-    return fill_elliptic(&scene, &rows, table, own->bends);
+    return fill_elliptic(&scene, &blocks, table, own->bends);
 }
 
 /* Solve for all unknowns of marker k from the columns of its pixels, of which so many are used. */
 void solve_marker(const FitRequest *given, const Pixels *own, int64_t used, Solutions *solutions, int64_t k) {
-    const MarkerRows rows = rows_of(own);
+    const MarkerBlocks blocks = blocks_of(own);
     float gram[COLUMNS * COLUMNS];
-    gram_matrices(&rows, gram);
+    gram_matrices(&blocks, gram);
     solve(gram, given->constants, solutions, k);
     solutions->pixels[k] = (double)used;
 }

@@ -8,7 +8,7 @@
 typedef struct {
     float *places, *columns, *bends;
     int32_t *pixels;
-    int64_t bounds[2], room;
+    int64_t bounds[2], count, room; /* room in blocks */
 } Pixels;
 
 static inline double limited(double value, double low, double high) {
@@ -18,7 +18,7 @@ static inline double limited(double value, double low, double high) {
 int32_t draw_marker(const FitRequest *given, const Homography *at, const Appearance *look, int round_in_image, Pixels *own,
                     int64_t k);
 void solve_marker(const FitRequest *given, const Pixels *own, int64_t used, Solutions *solutions, int64_t k);
-MarkerRows rows_of(const Pixels *own);
+MarkerBlocks blocks_of(const Pixels *own);
 void release_pixels(Pixels *own);
 void streak_moments(const Homography *at, Complex streak, double table[3]);
 

@@ -5,6 +5,7 @@
  * the shares. Parts are read by columns of LANES; lanes beyond the square are not seen. As y is the same along a row,
  * sums over a column of lanes need its powers alone, and x is applied once, to the sums.
  */
+#define FLOATS_LANES 8 /* sums over its lanes are added up, and are the same in all builds */
 #include "pattern_fit.h"
 #include "floats.h"
 

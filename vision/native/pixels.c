@@ -19,6 +19,8 @@ typedef struct { int64_t first, last; } Range;
 
 static const Range NONE = {0, -1};
 
+static int64_t full_blocks(int64_t pixels) { return (pixels + BLOCK_PX - 1) / BLOCK_PX; }
+
 /* Return the whole numbers from `low` to `high` within 0 to `size - 1`. */
 static Range whole_numbers(double low, double high, int64_t size) {
     if (!(low <= high)) return NONE;
@@ -49,17 +51,19 @@ static Range columns_of(const Marker *marker, int64_t v, int64_t width) {
     return whole_numbers(low + marker->center.re, high + marker->center.re, width);
 }
 
-/* Return the number of pixels between the strips of markers: at least that of `list_pixels`. */
-int64_t count_pixels(const Marker *markers, int64_t count, int64_t height, int64_t width) {
-    int64_t pixels = 0;
+/* Return the number of blocks of pixels between the strips of markers: at least that of `list_pixels`. */
+int64_t count_blocks(const Marker *markers, int64_t count, int64_t height, int64_t width) {
+    int64_t blocks = 0;
     for (int64_t k = 0; k < count; k++) {
         const Range lines = lines_of(markers + k, height);
+        int64_t pixels = 0;
         for (int64_t v = lines.first; v <= lines.last; v++) {
             const Range columns = columns_of(markers + k, v, width);
             pixels += columns.last - columns.first + 1;
         }
+        blocks += full_blocks(pixels);
     }
-    return pixels;
+    return blocks;
 }
 
 /* Compute marker coordinates of `length` pixels of line v from column u on, and whether each is the marker's. */
@@ -74,41 +78,71 @@ static void places_of(const Marker *marker, int64_t v, int64_t u, int64_t length
     }
 }
 
-/* List the pixels of markers without gaps.
- *
- * bounds (count + 1,), places (room, 2) and pixels (room, 2) are results. Returns the number of pixels, or an error. */
-int64_t list_pixels(const Marker *markers, int64_t count, int64_t height, int64_t width, int64_t *bounds, float *places,
-                    int32_t *pixels, int64_t room) {
+/* Where the pixels of a marker are written: blocks, and how many pixels there are. */
+typedef struct { float *places; int32_t *pixels; int64_t count; } List;
+
+static void append(List *list, float x, float y, int64_t v, int64_t u) {
+    const int64_t at = list->count / BLOCK_PX * (2 * BLOCK_PX) + list->count % BLOCK_PX;
+    list->places[at] = x;
+    list->places[at + BLOCK_PX] = y;
+    list->pixels[at] = (int32_t)v;
+    list->pixels[at + BLOCK_PX] = (int32_t)u;
+    list->count++;
+}
+
+/* Append the pixels of a marker in line v. They follow each other, since a line crosses a quadrilateral once. */
+static void append_line(const Marker *marker, int64_t v, Range columns, List *list) {
     double x[CHUNK], y[CHUNK], within[CHUNK];
-    int64_t row = 0;
+    for (int64_t u = columns.first; u <= columns.last; u += CHUNK) {
+        const int64_t rest = columns.last - u + 1, length = rest < CHUNK ? rest : CHUNK;
+        int64_t first = 0, end = length;
+        places_of(marker, v, u, length, x, y, within);
+        while (first < end && within[first] == 0.0) first++;
+        while (first < end && within[end - 1] == 0.0) end--;
+        for (int64_t i = first; i < end; i++) append(list, (float)x[i], (float)y[i], v, u + i);
+    }
+}
+
+/* Repeat the last pixel until its block is full. */
+static void fill_last_block(List list) {
+    if (list.count % BLOCK_PX == 0) return;
+    const int64_t block = list.count / BLOCK_PX * (2 * BLOCK_PX), last = block + list.count % BLOCK_PX - 1;
+    const float x = list.places[last], y = list.places[last + BLOCK_PX];
+    const int32_t v = list.pixels[last], u = list.pixels[last + BLOCK_PX];
+    while (list.count % BLOCK_PX) append(&list, x, y, v, u);
+}
+
+/* List the pixels of markers without gaps but in their last blocks.
+ *
+ * bounds (count + 1,), counts (count,), places and pixels (room, 2, BLOCK_PX) are results, as in `MarkerBlocks`. Returns the
+ * number of blocks, or an error. */
+int64_t list_pixels(const Marker *markers, int64_t count, int64_t height, int64_t width, int64_t *bounds, int64_t *counts,
+                    float *places, int32_t *pixels, int64_t room) {
     bounds[0] = 0;
     for (int64_t k = 0; k < count; k++) {
+        const int64_t begin = bounds[k] * (2 * BLOCK_PX);
+        List list = {places + begin, pixels + begin, 0};
         const Range lines = lines_of(markers + k, height);
         for (int64_t v = lines.first; v <= lines.last; v++) {
             const Range columns = columns_of(markers + k, v, width);
-            if (columns.last - columns.first + 1 > room - row) return FIT_INVALID_SIZE;
-            for (int64_t u = columns.first; u <= columns.last; u += CHUNK) {
-                const int64_t rest = columns.last - u + 1, length = rest < CHUNK ? rest : CHUNK;
-                places_of(markers + k, v, u, length, x, y, within);
-                for (int64_t i = 0; i < length; i++) {
-                    if (within[i] == 0.0) continue;
-                    places[2 * row] = (float)x[i];
-                    places[2 * row + 1] = (float)y[i];
-                    pixels[2 * row] = (int32_t)v;
-                    pixels[2 * row + 1] = (int32_t)(u + i);
-                    row++;
-                }
-            }
+            const int64_t most = list.count + columns.last - columns.first + 1;
+            if (full_blocks(most) > room - bounds[k]) return FIT_INVALID_SIZE;
+            append_line(markers + k, v, columns, &list);
         }
-        bounds[k + 1] = row;
+        fill_last_block(list);
+        counts[k] = list.count;
+        bounds[k + 1] = bounds[k] + full_blocks(list.count);
     }
-    return row;
+    return bounds[count];
 }
 
-/* Return whether the bounds of markers ascend from 0 or more to `rows` at most. */
-int are_bounds_valid(const MarkerRows *given) {
-    if (given->count < 0 || given->rows < 0 || given->bounds[0] < 0 || given->bounds[given->count] > given->rows) return 0;
-    for (int64_t k = 0; k < given->count; k++)
-        if (given->bounds[k] > given->bounds[k + 1]) return 0;
+/* Return whether the bounds of markers ascend from 0 or more to `blocks` at most, and fit their numbers of pixels. */
+int are_bounds_valid(const MarkerBlocks *given) {
+    if (given->count < 0 || given->blocks < 0 || given->bounds[0] < 0 || given->bounds[given->count] > given->blocks)
+        return 0;
+    for (int64_t k = 0; k < given->count; k++) {
+        const int64_t blocks = given->bounds[k + 1] - given->bounds[k];
+        if (blocks < 0 || given->counts[k] > blocks * BLOCK_PX || full_blocks(given->counts[k]) != blocks) return 0;
+    }
     return 1;
 }

@@ -2,15 +2,19 @@
 
 import ctypes
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, Image, IntArray
+from skyherd.geometry import Array, BoolArray, Image, IntArray
 from skyherd.native.arguments import address, check_plane
 
 UNKNOWNS, COLUMNS = 15, 16
 """Unknowns of a marker, and columns of its pixels: those of the model, and the pixels' own values."""
+
+BLOCK_PX = 16
+"""Pixels of a block, as in `fit.h`."""
 
 MAX_SECOND_DIFFERENCE = 4 * 255
 """Largest second difference of grey levels. Derived."""
@@ -84,16 +88,17 @@ class SearchParameters(ctypes.Structure):
     )
 
 
-class Rows(ctypes.Structure):
-    """Pixels of markers; `MarkerRows` in `fit.h` has the same fields."""
+class Blocks(ctypes.Structure):
+    """Pixels of markers; `MarkerBlocks` in `fit.h` has the same fields."""
 
     _fields_ = (
         ("bounds", ctypes.c_void_p),
+        ("counts", ctypes.c_void_p),
         ("places", ctypes.c_void_p),
         ("pixels", ctypes.c_void_p),
         ("columns", ctypes.c_void_p),
         ("count", ctypes.c_int64),
-        ("rows", ctypes.c_int64),
+        ("blocks", ctypes.c_int64),
     )
 
 
@@ -112,35 +117,50 @@ class Scene(ctypes.Structure):
 
 
 @dataclass(frozen=True)
-class MarkerRows:
-    """The pixels of N markers, and the model's columns at them.
+class MarkerBlocks:
+    """The pixels of N markers, and the model's columns at them, in B blocks of `BLOCK_PX` pixels.
+
+    A marker's last block repeats its last pixel, with columns of 0.
 
     Attributes:
-        bounds: (N + 1,) marker k has the rows from `bounds[k]` to `bounds[k + 1]`.
-        places: (P, 2) marker coordinates x and y, in sides.
-        pixels: (P, 2) lines v and columns u in the image.
-        columns: (P, 16) the model's columns and the pixels less 128, times the pixels' weights.
+        bounds: (N + 1,) marker k has the blocks from `bounds[k]` to `bounds[k + 1]`.
+        counts: (N,) pixels of each marker.
+        places: (B, 2, BLOCK_PX) marker coordinates x and y, in sides.
+        pixels: (B, 2, BLOCK_PX) lines v and columns u in the image.
+        columns: (B, 16, BLOCK_PX) the model's columns and the pixels less 128, times the pixels' weights.
     """
 
     bounds: IntArray
+    counts: IntArray
     places: Floats
     pixels: npt.NDArray[np.int32]
     columns: Floats
 
-    def structure(self, first: int = 0, end: int | None = None) -> Rows:
+    def is_pixel(self) -> BoolArray:
+        """Return which places (B, BLOCK_PX) of the blocks have a pixel of their own."""
+        blocks = np.diff(self.bounds)
+        before = BLOCK_PX * (np.arange(len(self.columns)) - np.repeat(self.bounds[:-1], blocks))
+        return before[:, None] + np.arange(BLOCK_PX) < np.repeat(self.counts, blocks)[:, None]
+
+    def by_pixels(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return values (B, K, BLOCK_PX) of blocks as values (P, K) of all pixels, one after the other."""
+        return np.ascontiguousarray(np.moveaxis(values, 1, 2)[self.is_pixel()])
+
+    def structure(self, first: int = 0, end: int | None = None) -> Blocks:
         """Return the structure of the markers from `first` to `end`, which is valid as long as the arrays.
 
         Raises:
             InputError: an array has another type, shape or memory layout.
         """
-        rows = len(self.columns)
-        return Rows(
+        blocks = len(self.columns)
+        return Blocks(
             address("bounds", self.bounds, np.int64, (self.bounds.size,)) + 8 * first,
-            address("places", self.places, np.float32, (rows, 2)),
-            address("pixels", self.pixels, np.int32, (rows, 2)),
-            address("columns", self.columns, np.float32, (rows, COLUMNS)),
+            address("counts", self.counts, np.int64, (self.bounds.size - 1,)) + 8 * first,
+            address("places", self.places, np.float32, (blocks, 2, BLOCK_PX)),
+            address("pixels", self.pixels, np.int32, (blocks, 2, BLOCK_PX)),
+            address("columns", self.columns, np.float32, (blocks, COLUMNS, BLOCK_PX)),
             (self.bounds.size - 1 if end is None else end) - first,
-            rows,
+            blocks,
         )
 
 

@@ -63,15 +63,15 @@ INLINE Shown shown_of(const Blurred *sums, const Look *look, Floats x, Floats y)
     return (Shown){white, -sums->x * look->per_side, -sums->y * look->per_side, log_blur, {{0}, all(1.0f)}};
 }
 
-/* Fill in the rows of one marker. `count` edges are in reach along each axis. */
-INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerRows *given, int64_t k) {
+/* Fill in the blocks of one marker. `count` edges are in reach along each axis. */
+INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerBlocks *given, int64_t k) {
     const Look look = look_of(scene->markers + k, scene->n, scene->texture_square);
-    const int64_t sides = scene->n + 2, end = given->bounds[k + 1];
+    const int64_t sides = scene->n + 2;
     const CellBits bits = bits_of(scene->cells + k * sides * sides, scene->n);
     Edges across, down;
-    for (int64_t row = given->bounds[k]; row < end; row += LANES) {
-        const Block block = block_of(scene, given, row, end);
-        const Floats x = block.x, y = block.y, per_cell = all(look.per_cell);
+    for (int64_t at = given->bounds[k] * BLOCK_PX; at < given->bounds[k + 1] * BLOCK_PX; at += LANES) {
+        const Part part = part_at(scene, given, k, at / BLOCK_PX, at % BLOCK_PX);
+        const Floats x = part.x, y = part.y, per_cell = all(look.per_cell);
         compute_edges(count, is_all, 3, scene->n, x * look.cells + look.half, per_cell, &across);
         compute_edges(count, is_all, 3, scene->n, y * look.cells + look.half, per_cell, &down);
         const Blurred sums = blurred_at(count, &bits, &across, &down);
@@ -82,12 +82,12 @@ INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerR
         }
         shown.slope_x *= shown.ground.weight;
         shown.slope_y *= shown.ground.weight;
-        write_columns(&shown, x, y, look.ratio, block.grey, block.count, given->columns + row * COLUMNS);
+        write_columns(&shown, &part, look.ratio, given->columns);
     }
 }
 
 /* Fill in the weighted columns of the model, and the pixels less 128. Returns 0 or an error. */
-int32_t fill_round(const Scene *scene, const MarkerRows *given) {
+int32_t fill_round(const Scene *scene, const MarkerBlocks *given) {
     if (!are_valid(scene, given)) return FIT_INVALID_SIZE;
     for (int64_t k = 0; k < given->count; k++) {
         const double reach = REACH_SIGMAS * scene->n * scene->markers[k].sigma; /* in cells */

@@ -23,16 +23,24 @@ static void derivative_maps(const Homography *at, double contrast, float maps[3]
 }
 
 static Products products_of(const Pixels *own, float maps[3][PARTS]) {
-    Products total = {{{0}}, {{0}}};
-    for (int64_t row = 0; row < own->bounds[1]; row++) {
-        const float *bends = own->bends + 3 * row, *columns = own->columns + row * COLUMNS;
-        float x[PARTS];
+    Doubles columns[COLUMNS][PARTS] = {{{0}}}, squares[PARTS][PARTS] = {{{0}}};
+    for (int64_t at = 0; at < own->bounds[1] * BLOCK_PX; at += LANES) {
+        const int64_t block = at / BLOCK_PX, first = at % BLOCK_PX;
+        const float *bends = own->bends + block * (3 * BLOCK_PX) + first;
+        const float *values = own->columns + block * (COLUMNS * BLOCK_PX) + first;
+        Floats x[PARTS];
         for (int part = 0; part < PARTS; part++)
-            x[part] = bends[0] * maps[0][part] + bends[1] * maps[1][part] + bends[2] * maps[2][part];
+            x[part] = load(bends) * maps[0][part] + load(bends + BLOCK_PX) * maps[1][part] +
+                      load(bends + 2 * BLOCK_PX) * maps[2][part];
         for (int part = 0; part < PARTS; part++) {
-            for (int c = 0; c < COLUMNS; c++) total.columns[c][part] += (double)(columns[c] * x[part]);
-            for (int other = 0; other < PARTS; other++) total.own[part][other] += (double)(x[part] * x[other]);
+            for (int c = 0; c < COLUMNS; c++) add_in_double(load(values + c * BLOCK_PX) * x[part], &columns[c][part]);
+            for (int other = 0; other < PARTS; other++) add_in_double(x[part] * x[other], &squares[part][other]);
         }
+    }
+    Products total;
+    for (int part = 0; part < PARTS; part++) {
+        for (int c = 0; c < COLUMNS; c++) total.columns[c][part] = sum_of(columns[c][part]);
+        for (int other = 0; other < PARTS; other++) total.own[part][other] = sum_of(squares[part][other]);
     }
     return total;
 }
@@ -67,7 +75,7 @@ int32_t streak_evidence(const FitRequest *given, double *informations, double *s
     for (int64_t k = 0; !result && k < given->count; k++) {
         result = draw_marker(given, given->start + k, given->appearances + k, 1, &pixels, k);
         if (result) break;
-        solve_marker(given, &pixels, pixels.bounds[1], &solutions, k);
+        solve_marker(given, &pixels, pixels.count, &solutions, k);
         float maps[3][PARTS];
         derivative_maps(given->start + k, contrast_of(&solutions, k, given->constants), maps);
         const Products products = products_of(&pixels, maps);

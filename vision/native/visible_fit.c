@@ -11,7 +11,7 @@ enum { CELLS = MAX_CELLS * MAX_CELLS, MAX_FALLS = 50, MAX_MARGIN_PX = 200 };
 typedef struct {
     Steps steps;
     double *limits, *supports;      /* (count,) grey levels; (count, n, n) visible shares of cells without margins */
-    float *left;                    /* (room,) residuals */
+    float *left;                    /* (room,) residuals of a marker's pixels */
     uint8_t *used;                  /* (room,) */
     int32_t *near;                  /* (near_room,) changes along lines of the number of outliers within reach */
     int64_t room, near_room;
@@ -35,15 +35,15 @@ static void release_visible(Visible *visible, int64_t count) {
     free(visible->near);
 }
 
-static int32_t make_room(Visible *visible, int64_t rows) {
-    if (rows <= visible->room) return 0;
+static int32_t make_room(Visible *visible, int64_t pixels) {
+    if (pixels <= visible->room) return 0;
     free(visible->left);
     free(visible->used);
     visible->room = 0;
-    visible->left = malloc((size_t)rows * sizeof *visible->left);
-    visible->used = malloc((size_t)rows);
+    visible->left = malloc((size_t)pixels * sizeof *visible->left);
+    visible->used = malloc((size_t)pixels);
     if (!visible->left || !visible->used) return FIT_NO_MEMORY;
-    visible->room = rows;
+    visible->room = pixels;
     return 0;
 }
 
@@ -69,24 +69,32 @@ static int32_t count_rounds(const VisibleRequest *given) {
     return (int32_t)(falls > 0 ? ceil(fmin(falls, MAX_FALLS)) : 0.0) + given->constants->final_rounds;
 }
 
+/* Line and column of pixel `at` of a marker. */
+typedef struct { int32_t v, u; } Pixel;
+
+static inline Pixel pixel_of(const MarkerBlocks *blocks, int64_t at) {
+    const int32_t *pixel = blocks->pixels + at / BLOCK_PX * (2 * BLOCK_PX) + at % BLOCK_PX;
+    return (Pixel){pixel[0], pixel[BLOCK_PX]};
+}
+
 /* Box of the pixels of a marker, with a margin around it that is never read. */
 typedef struct { int32_t top, left; int64_t height, width; } Box;
 
-static Box box_of(const MarkerRows *rows, int32_t reach) {
+static Box box_of(const MarkerBlocks *blocks, int32_t reach) {
     int32_t top = INT32_MAX, left = INT32_MAX, bottom = 0, right = 0;
-    for (int64_t row = 0; row < rows->rows; row++) {
-        const int32_t v = rows->pixels[2 * row], u = rows->pixels[2 * row + 1];
-        top = v < top ? v : top, bottom = v > bottom ? v : bottom;
-        left = u < left ? u : left, right = u > right ? u : right;
+    for (int64_t at = 0; at < blocks->counts[0]; at++) {
+        const Pixel pixel = pixel_of(blocks, at);
+        top = pixel.v < top ? pixel.v : top, bottom = pixel.v > bottom ? pixel.v : bottom;
+        left = pixel.u < left ? pixel.u : left, right = pixel.u > right ? pixel.u : right;
     }
     return (Box){top - reach, left - reach, (int64_t)bottom - top + 2 * reach + 1, (int64_t)right - left + 2 * reach + 2};
 }
 
 /* Leave out the pixels within a margin of those that are not used: discs are added up as changes along lines. */
-static int32_t leave_out_margins(const MarkerRows *rows, double margin_px, Visible *visible) {
-    if (!(margin_px > 0 && margin_px < MAX_MARGIN_PX) || !rows->rows) return 0;
+static int32_t leave_out_margins(const MarkerBlocks *blocks, double margin_px, Visible *visible) {
+    if (!(margin_px > 0 && margin_px < MAX_MARGIN_PX) || !blocks->counts[0]) return 0;
     const int32_t reach = (int32_t)margin_px;
-    const Box box = box_of(rows, reach);
+    const Box box = box_of(blocks, reach);
     const int64_t size = box.height * box.width;
     if (size > visible->near_room) {
         free(visible->near);
@@ -95,9 +103,10 @@ static int32_t leave_out_margins(const MarkerRows *rows, double margin_px, Visib
         if (!visible->near) return FIT_NO_MEMORY;
     }
     memset(visible->near, 0, (size_t)size * sizeof *visible->near);
-    for (int64_t row = 0; row < rows->rows; row++) {
-        if (visible->used[row]) continue;
-        const int64_t v = rows->pixels[2 * row] - box.top, u = rows->pixels[2 * row + 1] - box.left;
+    for (int64_t at = 0; at < blocks->counts[0]; at++) {
+        if (visible->used[at]) continue;
+        const Pixel pixel = pixel_of(blocks, at);
+        const int64_t v = pixel.v - box.top, u = pixel.u - box.left;
         for (int32_t down = -reach; down <= reach; down++) {
             const int64_t half = (int64_t)sqrt(margin_px * margin_px - (double)down * down);
             int32_t *line = visible->near + (v + down) * box.width + u;
@@ -107,15 +116,16 @@ static int32_t leave_out_margins(const MarkerRows *rows, double margin_px, Visib
     }
     for (int64_t v = 0; v < box.height; v++)
         for (int64_t u = 1; u < box.width; u++) visible->near[v * box.width + u] += visible->near[v * box.width + u - 1];
-    for (int64_t row = 0; row < rows->rows; row++) {
-        const int64_t v = rows->pixels[2 * row] - box.top, u = rows->pixels[2 * row + 1] - box.left;
-        visible->used[row] &= visible->near[v * box.width + u] == 0;
+    for (int64_t at = 0; at < blocks->counts[0]; at++) {
+        const Pixel pixel = pixel_of(blocks, at);
+        const int64_t v = pixel.v - box.top, u = pixel.u - box.left;
+        visible->used[at] &= visible->near[v * box.width + u] == 0;
     }
     return 0;
 }
 
 /* Choose the pixels of marker k whose residuals from its solution, without its step, are below the limit. */
-static int32_t choose_pixels(const VisibleRequest *given, const MarkerRows *rows, int64_t k, int with_margins,
+static int32_t choose_pixels(const VisibleRequest *given, const MarkerBlocks *blocks, int64_t k, int with_margins,
                              Visible *visible) {
     const VisibleConstants *constants = given->constants;
     const double *solution = visible->steps.held.values + k * UNKNOWNS;
@@ -126,32 +136,32 @@ static int32_t choose_pixels(const VisibleRequest *given, const MarkerRows *rows
     for (int i = RIGHT; i <= GROW; i++) values[i] = 0;
     for (int i = ANISOTROPY_X; i <= ANISOTROPY_Y; i++) values[i] = 0;
     for (int i = KEYSTONE_X; i <= KEYSTONE_Y; i++) values[i] = 0;
-    residuals(rows, values, visible->left);
-    for (int64_t row = 0; row < rows->rows; row++) {
-        const double left = fabs((double)visible->left[row]);
-        visible->used[row] = left < limit;
+    residuals(blocks, values, visible->left);
+    for (int64_t at = 0; at < blocks->counts[0]; at++) {
+        const double left = fabs((double)visible->left[at]);
+        visible->used[at] = left < limit;
         covering += left > far;
     }
     if (!with_margins || covering < constants->min_cover_px) return 0;
-    return leave_out_margins(rows, constants->margin_sigmas * given->sigmas_px[k], visible);
+    return leave_out_margins(blocks, constants->margin_sigmas * given->sigmas_px[k], visible);
 }
 
 /* Set the columns of the pixels that are not used to zero. Returns how many are used. */
-static int64_t restrict_to_used(const MarkerRows *rows, const uint8_t *used) {
+static int64_t restrict_to_used(const MarkerBlocks *blocks, const uint8_t *used) {
     int64_t count = 0;
-    for (int64_t row = 0; row < rows->rows; row++) {
-        float *columns = rows->columns + row * COLUMNS;
-        if (!used[row]) memset(columns, 0, COLUMNS * sizeof *columns);
-        count += columns[BLACK] > 0;
+    for (int64_t at = 0; at < blocks->counts[0]; at++) {
+        float *columns = blocks->columns + at / BLOCK_PX * (COLUMNS * BLOCK_PX) + at % BLOCK_PX;
+        for (int c = 0; !used[at] && c < COLUMNS; c++) columns[c * BLOCK_PX] = 0;
+        count += columns[BLACK * BLOCK_PX] > 0;
     }
     return count;
 }
 
 /* Compute the share of the pixels of each cell (n, n) that is used; 0 for a cell off the image. */
-static void visible_shares(const MarkerRows *rows, int32_t n, double *shares) {
+static void visible_shares(const MarkerBlocks *blocks, int32_t n, double *shares) {
     const float none[UNKNOWNS] = {0};
     double sums[CELLS] = {0}, used[CELLS] = {0}, read[CELLS] = {0}, peak = 0;
-    add_over_cells(rows, none, n, sums, used, read, &peak);
+    add_over_cells(blocks, none, n, sums, used, read, &peak);
     for (int32_t i = 0; i < n * n; i++) shares[i] = used[i] / (read[i] > 1 ? read[i] : 1);
 }
 
@@ -165,12 +175,12 @@ static int32_t take_round(const VisibleRequest *given, int with_margins, Plane *
         Pixels *pixels = steps->pixels + k;
         steps->start[k] = steps->here[k];
         result = draw_marker(markers, steps->start + k, steps->appearances + k, steps->round_in_image, pixels, k);
-        const MarkerRows rows = rows_of(pixels);
-        if (!result) result = make_room(visible, rows.rows);
-        if (!result) result = choose_pixels(given, &rows, k, with_margins, visible);
+        const MarkerBlocks blocks = blocks_of(pixels);
+        if (!result) result = make_room(visible, blocks.blocks * BLOCK_PX);
+        if (!result) result = choose_pixels(given, &blocks, k, with_margins, visible);
         if (result) return result;
-        solve_marker(markers, pixels, restrict_to_used(&rows, visible->used), &steps->free, k);
-        if (!with_margins) visible_shares(&rows, markers->n, visible->supports + k * cells);
+        solve_marker(markers, pixels, restrict_to_used(&blocks, visible->used), &steps->free, k);
+        if (!with_margins) visible_shares(&blocks, markers->n, visible->supports + k * cells);
     }
     if (!result)
         result = hold_visible_unknowns(markers, steps->start, &steps->free, given->settled, plane, &steps->held);
@@ -195,9 +205,9 @@ static void mark_hidden_bits(const VisibleRequest *given, const Visible *visible
     const VisibleConstants *constants = given->constants;
     const int32_t n = given->markers->n, border = (int32_t)given->border;
     const double contrast = contrast_of(&visible->steps.held, k, given->markers->constants);
-    const MarkerRows rows = rows_of(visible->steps.pixels + k);
+    const MarkerBlocks blocks = blocks_of(visible->steps.pixels + k);
     double clear[CELLS];
-    visible_shares(&rows, n, clear);
+    visible_shares(&blocks, n, clear);
     for (int32_t i = 0; i < n * n; i++) {
         const double seen = visible->supports[k * n * n + i];
         const double share = fmin(seen, clear[i] * constants->min_visible_share / constants->min_clear_share);

@@ -13,7 +13,7 @@ from skyherd.errors import InputError
 from skyherd.native import build
 from skyherd.native.loading import load
 from skyherd.vision.native.library import declared, library
-from skyherd.vision.native.records import COLUMNS, MARKER, UNKNOWNS
+from skyherd.vision.native.records import BLOCK_PX, COLUMNS, MARKER, UNKNOWNS
 from skyherd.vision.photometric.fitting.plane import plane_limits
 
 N_CELLS = 6
@@ -53,19 +53,19 @@ def bytes_of(build_of_library):
     """Return the bytes of all results of all functions, on the same input."""
     rng, markers, results = np.random.default_rng(1), markers_of(), []
     for is_elliptic in (False, True):
-        rows = build_of_library.list_pixels(markers, (120, 160))
-        bends = np.zeros((len(rows.columns), 3), dtype=np.float32)
+        blocks = build_of_library.list_pixels(markers, (120, 160))
+        bends = np.zeros((len(blocks.columns), 3, BLOCK_PX), dtype=np.float32)
         if is_elliptic:
-            build_of_library.fill_elliptic(image_of(), markers, BLURS, cells_of(), 6.0, rows, bends)
+            build_of_library.fill_elliptic(image_of(), markers, BLURS, cells_of(), 6.0, blocks, bends)
         else:
-            build_of_library.fill_round(image_of(), markers, cells_of(), 6.0, rows)
+            build_of_library.fill_round(image_of(), markers, cells_of(), 6.0, blocks)
         solutions = rng.normal(size=(len(markers), UNKNOWNS)).astype(np.float32)
         influences = rng.normal(size=(len(markers), 3, UNKNOWNS)).astype(np.float32)
-        grams = build_of_library.gram_matrices(rows)
-        results += [rows.bounds, rows.places, rows.pixels, rows.columns, bends, grams]
-        results += [build_of_library.residuals(rows, solutions)]
-        results += build_of_library.cell_sums(rows, solutions, N_CELLS)
-        results += build_of_library.squared_box_sums(rows, solutions, influences, np.array([4, 1]), 2)
+        grams = build_of_library.gram_matrices(blocks)
+        results += [blocks.bounds, blocks.counts, blocks.places, blocks.pixels, blocks.columns, bends, grams]
+        results += [build_of_library.residuals(blocks, solutions)]
+        results += build_of_library.cell_sums(blocks, solutions, N_CELLS)
+        results += build_of_library.squared_box_sums(blocks, solutions, influences, np.array([4, 1]), 2)
         values, squares = rng.normal(size=(5, UNKNOWNS)), np.ones(5)
         normals = np.linalg.inv(grams[:, :UNKNOWNS, :UNKNOWNS].astype(float) + np.eye(UNKNOWNS))
         for unknowns in ((2, 2), (8, 9)):
@@ -92,9 +92,9 @@ def test_one_more_edge_on_either_side_changes_little(reach_cells):
     markers, columns = markers_of(), []
     for factor in (1 - 1e-7, 1 + 1e-7):
         markers["sigma"] = factor * reach_cells / (5 * N_CELLS)
-        rows = library().list_pixels(markers, (120, 160))
-        library().fill_round(image_of(), markers, cells_of(), 6.0, rows)
-        columns.append(rows.columns)
+        blocks = library().list_pixels(markers, (120, 160))
+        library().fill_round(image_of(), markers, cells_of(), 6.0, blocks)
+        columns.append(blocks.columns)
     assert not np.array_equal(*columns)
     np.testing.assert_allclose(*columns, atol=5e-5, rtol=1e-5)
 
@@ -107,66 +107,90 @@ def test_squares_of_slopes_are_zero_or_normal_numbers(is_elliptic):
     markers["y_axis"] = 1j * markers["x_axis"]
     markers["height_px"], markers["sigma"], markers["half_card"] = 80, sigma, np.inf
     blurs = np.tile(BLURS[:1] * sigma**2 / BLURS[0, 0], (len(markers), 1))
-    rows = library().list_pixels(markers, (120, 160))
-    bends = np.zeros((len(rows.columns), 3), dtype=np.float32)
+    blocks = library().list_pixels(markers, (120, 160))
+    bends = np.zeros((len(blocks.columns), 3, BLOCK_PX), dtype=np.float32)
     if is_elliptic:
-        library().fill_elliptic(image_of(), markers, blurs, cells_of(), 6.0, rows, bends)
+        library().fill_elliptic(image_of(), markers, blurs, cells_of(), 6.0, blocks, bends)
     else:
-        library().fill_round(image_of(), markers, cells_of(), 6.0, rows)
-    slopes = np.abs(rows.columns[:, [RIGHT, DOWN, BLUR]]).astype(float)
+        library().fill_round(image_of(), markers, cells_of(), 6.0, blocks)
+    slopes = np.abs(blocks.columns[:, [RIGHT, DOWN, BLUR]]).astype(float)
     assert slopes[slopes > 0].min() ** 2 > np.finfo(np.float32).tiny
     assert (slopes == 0).mean() > 0.2 and (slopes > 0.1).any()
 
 
-def changed_rows(name):
-    """Return rows of which one array is invalid."""
-    rows = library().list_pixels(markers_of(), (120, 160))
+def changed_blocks(name):
+    """Return blocks of which one array is invalid."""
+    blocks = library().list_pixels(markers_of(), (120, 160))
     arrays = {
-        "bounds of int32": {"bounds": rows.bounds.astype(np.int32)},
-        "bounds beyond the rows": {"bounds": rows.bounds + 1},
-        "bounds that descend": {"bounds": rows.bounds[::-1].copy()},
-        "negative bounds": {"bounds": rows.bounds - 1},
-        "columns of other rows": {"columns": np.zeros((3, COLUMNS), np.float32)},
-        "strided columns": {"columns": np.zeros((len(rows.columns), 2 * COLUMNS), np.float32)[:, ::2]},
-        "pixels beyond the image": {"pixels": rows.pixels + 160},
-        "negative pixels": {"pixels": -1 - rows.pixels},
+        "bounds of int32": {"bounds": blocks.bounds.astype(np.int32)},
+        "bounds beyond the blocks": {"bounds": blocks.bounds + 1},
+        "bounds that descend": {"bounds": blocks.bounds[::-1].copy()},
+        "negative bounds": {"bounds": blocks.bounds - 1},
+        "counts beyond the blocks": {"counts": blocks.counts + BLOCK_PX},
+        "counts below the last block": {"counts": blocks.counts - BLOCK_PX},
+        "columns of other blocks": {"columns": np.zeros((3, COLUMNS, BLOCK_PX), np.float32)},
+        "strided columns": {
+            "columns": np.zeros((len(blocks.columns), 2 * COLUMNS, BLOCK_PX), np.float32)[:, ::2]
+        },
+        "pixels beyond the image": {"pixels": blocks.pixels + 160},
+        "negative pixels": {"pixels": -1 - blocks.pixels},
     }
-    return replace(rows, **arrays[name])
+    return replace(blocks, **arrays[name])
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        *("bounds of int32", "bounds beyond the rows", "bounds that descend", "negative bounds"),
-        *("columns of other rows", "strided columns", "pixels beyond the image", "negative pixels"),
+        *("bounds of int32", "bounds beyond the blocks", "bounds that descend", "negative bounds"),
+        *("counts beyond the blocks", "counts below the last block", "columns of other blocks"),
+        *("strided columns", "pixels beyond the image", "negative pixels"),
     ],
 )
-def test_invalid_rows_are_rejected(name):
-    rows, bends = changed_rows(name), np.zeros((10**5, 3), np.float32)
+def test_invalid_blocks_are_rejected(name):
+    blocks, bends = changed_blocks(name), np.zeros((10**5, 3, BLOCK_PX), np.float32)
     with pytest.raises(InputError):
-        library().fill_round(image_of(), markers_of(), cells_of(), 6.0, rows)
+        library().fill_round(image_of(), markers_of(), cells_of(), 6.0, blocks)
     with pytest.raises(InputError):
         library().fill_elliptic(
-            image_of(), markers_of(), BLURS, cells_of(), 6.0, rows, bends[: len(rows.columns)]
+            image_of(), markers_of(), BLURS, cells_of(), 6.0, blocks, bends[: len(blocks.columns)]
         )
     if "pixels" not in name:
         with pytest.raises(InputError):
-            library().gram_matrices(rows)
+            library().gram_matrices(blocks)
+
+
+@pytest.mark.parametrize("is_elliptic", [False, True])
+def test_last_blocks_repeat_their_last_pixel_with_columns_of_zero(is_elliptic):
+    blocks = library().list_pixels(markers_of(), (120, 160))
+    bends = np.ones((len(blocks.columns), 3, BLOCK_PX), dtype=np.float32)
+    if is_elliptic:
+        library().fill_elliptic(image_of(), markers_of(), BLURS, cells_of(), 6.0, blocks, bends)
+    else:
+        library().fill_round(image_of(), markers_of(), cells_of(), 6.0, blocks)
+    partial = np.flatnonzero(blocks.counts % BLOCK_PX)
+    assert len(partial) >= 3 and blocks.is_pixel().sum() == blocks.counts.sum()
+    for marker in partial:
+        last, used = blocks.bounds[marker + 1] - 1, blocks.counts[marker] % BLOCK_PX
+        assert blocks.is_pixel()[last].tolist() == [True] * used + [False] * (BLOCK_PX - used)
+        for of_block in (blocks.places[last], blocks.pixels[last]):
+            assert (of_block[:, used:] == of_block[:, used - 1 : used]).all()
+        assert blocks.columns[last, :, :used].any() and not blocks.columns[last, :, used:].any()
+        assert bends[last, :, used:].any() != is_elliptic
 
 
 def test_invalid_sizes_are_rejected():
-    rows = library().list_pixels(markers_of(), (120, 160))
-    library().fill_round(image_of(), markers_of(), cells_of(), 6.0, rows)
+    blocks = library().list_pixels(markers_of(), (120, 160))
+    library().fill_round(image_of(), markers_of(), cells_of(), 6.0, blocks)
     model = np.zeros((len(SIGMAS), UNKNOWNS), dtype=np.float32)
     with pytest.raises(InputError):
-        library().fill_round(image_of(), markers_of(), np.zeros((5, 30, 30), np.float32), 6.0, rows)
+        library().fill_round(image_of(), markers_of(), np.zeros((5, 30, 30), np.float32), 6.0, blocks)
     with pytest.raises(InputError):
-        library().cell_sums(rows, model, 21)
+        library().cell_sums(blocks, model, 21)
     with pytest.raises(InputError):
-        library().residuals(rows, model[:3])
+        library().residuals(blocks, model[:3])
     for picked, box_px in (([5], 2), ([-1], 2), ([0], 0)):
         with pytest.raises(InputError):
-            library().squared_box_sums(rows, model, model[:, None], np.array(picked), box_px)
+            library().squared_box_sums(blocks, model, model[:, None], np.array(picked), box_px)
     with pytest.raises(InputError):
         library().hold_unknowns(
             np.zeros((1, 15)), np.zeros((1, 15, 15)), np.zeros(1), (3, 15), np.zeros((1, 2)), np.zeros(1)

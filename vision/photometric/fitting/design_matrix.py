@@ -38,7 +38,7 @@ import numpy.typing as npt
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
 from skyherd.vision.native.library import library
-from skyherd.vision.native.records import MARKER, UNKNOWNS, Floats
+from skyherd.vision.native.records import BLOCK_PX, MARKER, UNKNOWNS, Floats
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
 from skyherd.vision.photometric.fitting.blur_ellipses import blur_tables
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
@@ -100,15 +100,15 @@ class DesignMatrices:
         self.rows = rows
         markers = _markers(homographies, appearances)
         self._data = library().list_pixels(markers, image.shape)
-        self.bounds, self.places = self._data.bounds, self._data.places
-        self.pixels, self.columns = self._data.pixels, self._data.columns
+        self.counts, self.bounds = self._data.counts, np.concatenate([[0], np.cumsum(self._data.counts)])
+        self.places, self.pixels = map(self._data.by_pixels, (self._data.places, self._data.pixels))
         self.bends = np.zeros((0, 3), dtype=np.float32)
         image, elliptic = np.ascontiguousarray(image), appearances.elliptic(homographies)
         if elliptic.any():
             self._fill_apart(image, markers, homographies, appearances, elliptic)
         else:
             library().fill_round(image, markers, appearances.cells, appearances.texture, self._data)
-        self.counts = np.diff(self.bounds)
+        self.columns = self._data.by_pixels(self._data.columns)
 
     def _fill_apart(
         self,
@@ -119,16 +119,24 @@ class DesignMatrices:
         elliptic: BoolArray,
     ) -> None:
         """Fill in the pixels of markers of which some are `elliptic` (N,), each run of a kind by itself."""
-        self.bends = np.zeros((len(self.columns), 3), dtype=np.float32)
+        bends = np.zeros((len(self._data.columns), 3, BLOCK_PX), dtype=np.float32)
         tables = blur_tables(homographies, markers["sigma"], appearances.streak_px2 or 0j)
         markers["keystone"] = np.where(elliptic, homographies.keystones(), markers["keystone"])
         runs = [0, *(np.flatnonzero(np.diff(elliptic)) + 1).tolist(), self.rows.size]
         about = appearances.cells, appearances.texture, self._data
         for first, end in pairwise(runs):
             if elliptic[first]:
-                library().fill_elliptic(image, markers, tables, *about, self.bends, first, end)
+                library().fill_elliptic(image, markers, tables, *about, bends, first, end)
             else:
                 library().fill_round(image, markers, *about, first, end)
+        self.bends = self._data.by_pixels(bends)
+
+    def leave_out(self, pixels: BoolArray) -> None:
+        """Set the columns of pixels, a mask (P,), to 0, so that they are not used."""
+        self.columns[pixels] = 0.0
+        left_out = np.zeros(self._data.places[:, 0].shape, dtype=bool)
+        left_out[self._data.is_pixel()] = pixels
+        np.moveaxis(self._data.columns, 1, 2)[left_out] = 0.0
 
     def gram_matrices(self) -> Floats:
         """Return the inner products (N, 16, 16) of the weighted columns and the pixels."""

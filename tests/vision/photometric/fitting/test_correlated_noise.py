@@ -10,7 +10,7 @@ from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.geometry import to_complex
 from skyherd.vision.native.library import library
-from skyherd.vision.native.records import MarkerRows
+from skyherd.vision.native.records import BLOCK_PX, MarkerBlocks
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.fitting import common_unknowns
 from skyherd.vision.photometric.fitting.correlated_noise import (
@@ -35,6 +35,19 @@ def box_sums_by_hand(values, u, v, box_px):
     return sum(total**2 for total in sums.values()), len(sums)
 
 
+def blocks_of(counts, pixels, columns):
+    """Return the blocks of pixels (P, 2) of N markers, `counts` (N,), with columns (P, 16), and no places."""
+    bounds = np.concatenate([[0], np.cumsum(-(-counts // BLOCK_PX))])
+    places, kept, made = (
+        np.zeros((bounds[-1], size, BLOCK_PX), kind)
+        for size, kind in ((2, np.float32), (2, np.int32), (UNKNOWNS + 1, np.float32))
+    )
+    blocks = MarkerBlocks(bounds, counts, places, kept, made)
+    for of_blocks, of_pixels in ((kept, pixels), (made, columns)):
+        np.moveaxis(of_blocks, 1, 2)[blocks.is_pixel()] = of_pixels
+    return blocks
+
+
 def test_boxes_are_added_up_as_by_hand():
     """Of markers with 300 random pixels of 64 x 64, with 200, a third of them left out, and with none."""
     rng = np.random.default_rng(0)
@@ -46,11 +59,11 @@ def test_boxes_are_added_up_as_by_hand():
     # Boxes are counted from the first pixel that is used, so that large ones are aligned with it.
     places[[0, 300]], columns[300, BLACK] = 0, 1.0
     pixels = np.stack(np.divmod(places, 64), axis=1).astype(np.int32)
-    rows = MarkerRows(bounds, np.zeros((500, 2), np.float32), pixels, columns)
+    blocks = blocks_of(np.diff(bounds), pixels, columns)
     solutions = rng.normal(size=(3, UNKNOWNS)).astype(np.float32)
     influences = rng.normal(size=(3, 3, UNKNOWNS)).astype(np.float32)
-    small, large, boxes = library().squared_box_sums(rows, solutions, influences, np.array([1, 2, 0]), 2)
-    residuals = library().residuals(rows, solutions)
+    small, large, boxes = library().squared_box_sums(blocks, solutions, influences, np.array([1, 2, 0]), 2)
+    residuals = library().residuals(blocks, solutions)
     assert not small[1].any() and not large[1].any() and not boxes[1]
     for place, marker in ((0, 1), (2, 0)):
         own = np.arange(bounds[marker], bounds[marker + 1])

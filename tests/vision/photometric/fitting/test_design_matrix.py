@@ -265,7 +265,7 @@ def test_means_over_cells_are_those_of_the_pixels_in_them():
     used = np.random.default_rng(3).random(len(pixels.columns)) < 0.6
     for restricted in (False, True):
         if restricted:
-            pixels.columns[~used] = 0.0
+            pixels.leave_out(~used)
         means, peaks = pixels.cell_residuals(np.zeros((2, UNKNOWNS)), 6)
         for row, (begin, end) in enumerate(zip(pixels.bounds[:-1], pixels.bounds[1:], strict=True)):
             v, u = pixels.pixels[begin:end].T

@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -12,7 +13,7 @@ from command_line import call
 from source_files import SOURCE_FILES, syntax_tree
 
 import skyherd
-from skyherd.__main__ import main
+from skyherd.__main__ import BLAS_THREADS, main
 from skyherd.cli import choices
 from skyherd.inspection.table import FORMATS
 from skyherd.markers.dictionary import canonical_name, dictionary_names
@@ -87,6 +88,20 @@ def test_help_loads_no_heavy_module():
 def test_check_of_loaded_modules_detects_numpy():
     """Negative control: access to a public name loads NumPy."""
     assert {"numpy", "scipy"} <= loaded_by("import skyherd; skyherd.Template")[0]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="threads are counted by Linux")
+@pytest.mark.parametrize(("given", "expected"), [(None, 1), ("3", 3)])
+def test_linear_algebra_has_one_thread_unless_told(given, expected):
+    """NumPy makes its threads when it is loaded; the environment of a user counts."""
+    code = "import os, skyherd.__main__ as entry; entry.limit_blas_threads(); import numpy"
+    environment = {name: value for name, value in os.environ.items() if name not in BLAS_THREADS}
+    environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
+    count = f"{code}; print(len(os.listdir('/proc/self/task')))"
+    ended = subprocess.run(
+        [sys.executable, "-c", count], capture_output=True, text=True, check=True, env=environment
+    )
+    assert int(ended.stdout) == min(expected, os.cpu_count() or 1)
 
 
 def test_live_modules_load_no_matplotlib():

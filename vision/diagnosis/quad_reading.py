@@ -176,15 +176,16 @@ def show_all_bits(image: Image, quads_px: Array, dictionary: str, min_visible: f
     """
     n = cells_per_side(dictionary)
     signs = np.where(load_templates(dictionary).white, 1, -1).astype(np.float32).reshape(-1, n * n)
-    shown = np.zeros(len(quads_px), dtype=bool)
+    shown, is_border = np.zeros(len(quads_px), dtype=bool), _is_border(dictionary).ravel()
     for first in range(0, len(quads_px), QUADS_AT_ONCE):
         part = slice(first, first + QUADS_AT_ONCE)
         cells = _sample(image, quads_px[part], n, np.arange(0.5, n))
         seen = np.isfinite(cells).reshape(len(cells), -1)
         is_white = (cells > _levels_of_border(cells, dictionary)[1][:, None, None]).reshape(len(cells), -1)
-        bits = np.where(seen, np.where(is_white, 1, -1), 0).astype(np.float32)
-        right = (bits @ signs.T).max(axis=1) == seen.sum(axis=1)
-        shown[part] = right & (seen.mean(axis=1) >= min_visible)
+        framed = ~is_white[:, is_border].any(axis=1) & (seen.mean(axis=1) >= min_visible)
+        rows = np.flatnonzero(framed)  # few of many have a border without fault
+        bits = np.where(seen[rows], np.where(is_white[rows], 1, -1), 0).astype(np.float32)
+        shown[first + rows] = (bits @ signs.T).max(axis=1) == seen[rows].sum(axis=1)
     return shown
 
 

@@ -155,14 +155,31 @@ def min_log_odds(dictionary: str) -> float:
 def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
     """Return the evidence for the likeliest marker of each of N candidates.
 
+    There is none for candidates of which bits lie beyond the image's edges.
+
     Args:
         image: grey, (height, width).
         corners_px: (N, 4, 2) corners, px, clockwise as seen, beginning with any of the four.
         dictionary: of the markers.
     """
-    if not len(corners_px):
-        none = np.zeros(0, dtype=np.int64)
-        return MarkerOdds(none, none, np.zeros(0), np.zeros((0, 4)), *([np.zeros(0)] * 4))
+    odds = _no_odds(np.zeros(len(corners_px), dtype=np.int64))
+    whole = np.flatnonzero(_show_all_bits(image, corners_px, dictionary))
+    if not whole.size:
+        return odds
+    return odds.put(whole, _odds_in_image(image, corners_px[whole], dictionary))
+
+
+def _show_all_bits(image: Image, corners_px: Array, dictionary: str) -> BoolArray:
+    """Return of which squares (N, 4, 2), px, all bits lie in the image."""
+    inner = 1 - 2 * border_cells(dictionary) / cells_per_side(dictionary)
+    middles_px = corners_px.mean(axis=1, keepdims=True)
+    bits_px = middles_px + inner * (corners_px - middles_px)
+    limits_px = np.array(image.shape[::-1]) - 0.5
+    return np.asarray(((bits_px >= -0.5) & (bits_px <= limits_px)).all(axis=(1, 2)))
+
+
+def _odds_in_image(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
+    """Return the evidence for the likeliest marker of each of N candidates, at least one, in the image."""
     readings = Readings.read(image, corners_px, cells_per_side(dictionary))
     odds = _odds_of_readings(readings.all_seen(), dictionary)
     # Bright parts are white cells or glare: the explanation with the greater odds counts.

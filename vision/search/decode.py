@@ -121,7 +121,8 @@ def _most_alike(cells: Floats, dictionary: str, blurs_cells: Array) -> _Likeness
         rows = np.flatnonzero(buckets == bucket)
         codes = _codes(dictionary, int(bucket))
         scores = standardised(cells[rows]) @ codes.patterns.T / cells.shape[1]
-        best[rows], likeness[rows] = scores.argmax(axis=1), scores.max(axis=1)
+        best[rows] = scores.argmax(axis=1)
+        likeness[rows] = scores[np.arange(rows.size), best[rows]]
         contrast[rows] = likeness[rows] * deviation[rows] / codes.deviations[best[rows]]
         white[rows] = mean[rows] + contrast[rows] * codes.means[best[rows]]
     return _Likeness(best, likeness, contrast / np.maximum(white, MIN_WHITE))

@@ -10,7 +10,7 @@ from tests.helpers import pattern_reference
 from tests.helpers.native_builds import builds
 
 from skyherd.errors import InputError
-from skyherd.markers.dictionary import marker_cells
+from skyherd.markers.dictionary import border_cells, marker_cells
 from skyherd.messages import Quality
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.native.library import declared
@@ -356,3 +356,25 @@ def test_correlation_is_that_of_cells_with_the_nearest_code() -> None:
     seen = readings.cells[0, 1:-1, 1:-1].ravel()
     assert codes[0, 0] == 4 * 301
     assert correlations[0] == pytest.approx(max(np.corrcoef(seen, one)[0, 1] for one in patterns), abs=1e-4)
+
+
+@pytest.mark.parametrize("turn_deg", [0, 45])
+@pytest.mark.parametrize("dictionary", ["APRILTAG_36h11", "APRILTAG_36h11@2"])
+def test_a_marker_with_bits_beyond_the_image_has_no_odds(dictionary, turn_deg, monkeypatch) -> None:
+    """The border may be cut off; the bits of a marker must lie in the image."""
+    cells = marker_cells(dictionary, 8)
+    n, border = len(cells), border_cells(dictionary)
+    middle = MARGIN_PX + n * CELL_PX / 2 - 0.5
+    turn = cv2.getRotationMatrix2D((middle, middle), turn_deg, 1.0)
+    image = cv2.warpAffine(card(cells), turn, None, borderMode=cv2.BORDER_REPLICATE)
+    square = corners(n) @ turn[:, :2].T + turn[:, 2]
+    first = (middle + (1 - 2 * border / n) * (square - middle))[..., 0].min() + 0.5  # edge of the bits
+    shown = [
+        likelihood._show_all_bits(image[:, left:], square - [left, 0], dictionary)[0]
+        for left in (int(first), int(first) + 1)
+    ]
+    assert shown == [True, False]
+    given = noisy(image[:, int(first) + 1 :], 1), square - [int(first) + 1, 0], dictionary
+    assert marker_odds(*given).log_odds[0] == -np.inf == marker_odds(*given).against.min()
+    monkeypatch.setattr(likelihood, "_show_all_bits", lambda *of: np.array([True]))
+    assert marker_odds(*given).against.min() > -np.inf  # the negative control

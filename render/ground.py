@@ -15,7 +15,7 @@ from skyherd.errors import InputError
 from skyherd.geometry import Array, Image, inverse
 from skyherd.render.native.library import Frame, library
 from skyherd.render.scene.clutter import Clutter
-from skyherd.render.scene.textures import PERIOD, SLABS, concrete, picture, tiles
+from skyherd.render.scene.textures import PERIOD, SLABS, concrete_spectrum, picture, tiles
 from skyherd.render.view import ShapeImages
 
 GroundKind = Literal["plain", "concrete", "tiles", "image"]
@@ -146,9 +146,9 @@ class Ground:
 def _concrete_spectrum(seed: int, mean: float, contrast: float) -> npt.NDArray[np.complex128]:
     """Return the read-only spectrum (PERIOD, PERIOD // 2 + 1) of concrete.
 
-    The last two are cached: computing one takes half a second, and repeated runs of a mission share it.
+    The last two are cached: computing one takes a fifth of a second, and repeated runs of a mission share it.
     """
-    spectrum = np.fft.rfft2(concrete(seed, mean, contrast))
+    spectrum = concrete_spectrum(seed, mean, contrast)
     spectrum.flags.writeable = False
     return spectrum
 

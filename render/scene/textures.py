@@ -27,16 +27,24 @@ LONGEST_WAVES = 6
 uneven light, and repeat visibly."""
 
 
-def concrete(seed: int, mean: float, contrast: float) -> Array:
-    """Return noise (PERIOD, PERIOD) with a 1/f spectrum; mean and standard deviation in grey levels."""
+def concrete_spectrum(seed: int, mean: float, contrast: float) -> npt.NDArray[np.complex128]:
+    """Return the spectrum (PERIOD, PERIOD // 2 + 1), as of `rfft2`, of noise that falls with the frequency.
+
+    Args:
+        seed: seed of the noise.
+        mean: mean grey level.
+        contrast: standard deviation, grey levels.
+    """
     rng = np.random.default_rng(seed)
     spectrum = np.fft.rfft2(rng.standard_normal((PERIOD, PERIOD)))
     fy, fx = np.fft.fftfreq(PERIOD)[:, None] * PERIOD, np.fft.rfftfreq(PERIOD)[None, :] * PERIOD
     radius = np.hypot(fy, fx)
-    spectrum *= radius > LONGEST_WAVES
-    spectrum /= np.maximum(radius, 1.0)
-    image = np.fft.irfft2(spectrum)
-    return np.asarray(mean + image * (contrast / image.std()))
+    spectrum *= (radius > LONGEST_WAVES) / np.maximum(radius, 1.0)
+    # Parseval's theorem; all columns but the first and the last stand for two of the whole spectrum.
+    squares = (spectrum.real**2 + spectrum.imag**2).sum(axis=0)
+    spectrum *= contrast * PERIOD**2 / np.sqrt(2 * squares.sum() - squares[0] - squares[-1])
+    spectrum[0, 0] = mean * PERIOD**2
+    return spectrum
 
 
 def tiles(seed: int, mean: float, contrast: float) -> Array:

@@ -29,7 +29,7 @@ from skyherd.loop import Step, run_steps
 from skyherd.messages import TIME_TOLERANCE_S
 from skyherd.messages.checks import check_count, check_kind
 from skyherd.plots import panels
-from skyherd.plots.panels import write_figures
+from skyherd.plots.panels import FigureFile, write_figures
 from skyherd.recording.reader import Recording, read_recording, read_steps
 from skyherd.recording.survey import describe_flaws
 from skyherd.recording.writer import McapRecorder, Recorder
@@ -137,7 +137,8 @@ def run_mission(
                 recorded = _Recorded.read(folder)
                 if film:
                     film.conclude(recorded.summary["verdict"], is_good=recorded.summary["converged"])
-            return _write_report(folder, recorded, jobs)
+                figures = _draw_figures(folder, recorded, jobs)  # while the film is compressed
+            return _write_report(folder, recorded, figures)
         except InputError:
             output.discard()
             raise
@@ -186,7 +187,7 @@ def make_report(folder: Path, *, film: bool = True, embed: bool = False, jobs: i
                 for step in read_steps(folder / RECORDING):
                     recorder.write(step)
                 recorder.conclude(recorded.summary["verdict"], is_good=recorded.summary["converged"])
-        return _write_report(folder, recorded, jobs, embed=embed)
+        return _write_report(folder, recorded, _draw_figures(folder, recorded, jobs), embed=embed)
 
 
 @dataclass(frozen=True)
@@ -207,16 +208,22 @@ class _Recorded:
         return cls(recording, history, summary)
 
 
-def _write_report(folder: Path, recorded: _Recorded, jobs: int, *, embed: bool = False) -> dict[str, Any]:
-    """Write figures, summary and page of a recording into its folder, and return the summary."""
-    recording, history, summary = recorded.recording, recorded.history, recorded.summary
+def _draw_figures(folder: Path, recorded: _Recorded, jobs: int) -> list[FigureFile]:
+    """Draw the figures of a recording into its folder."""
     (folder / FIGURES).mkdir(exist_ok=True)
-    figures = write_figures(history, folder / FIGURES, jobs=jobs)
+    return write_figures(recorded.history, folder / FIGURES, jobs=jobs)
+
+
+def _write_report(
+    folder: Path, recorded: _Recorded, figures: list[FigureFile], *, embed: bool = False
+) -> dict[str, Any]:
+    """Write summary and page of a recording into its folder, beside film and figures; return the summary."""
+    recording, summary = recorded.recording, recorded.summary
     write_text(folder / SUMMARY, json.dumps(summary, indent=2) + "\n")
     scenario = json.dumps(recording.mission.scenario.model_dump(mode="json", exclude_none=True), indent=2)
     write_page(
         folder,
-        history=history,
+        history=recorded.history,
         summary=summary,
         figures=figures,
         versions=recording.versions,

@@ -21,6 +21,7 @@ from skyherd.render import (
     project,
 )
 from skyherd.render import ground as ground_module
+from skyherd.render.scene.textures import LONGEST_WAVES, PERIOD, concrete_spectrum
 
 
 def test_ground_is_fixed_under_a_moving_camera() -> None:
@@ -185,21 +186,37 @@ def test_invalid_ground_is_refused():
         Clutter(0, 0, (1, 2))
 
 
+def test_concrete_has_mean_contrast_and_a_falling_spectrum() -> None:
+    """Power falls with the square of the frequency, and is zero up to `LONGEST_WAVES`.
+
+    Rings of 16 to 18 and of 256 to 258 cycles have 107 and 1615 independent values, each with its mean as
+    standard deviation; the limit is four standard deviations of the ratio.
+    """
+    spectrum = concrete_spectrum(5, 100.0, 8.0)
+    image = np.fft.irfft2(spectrum)
+    assert image.mean() == pytest.approx(100.0) and image.std() == pytest.approx(8.0)
+    fy, fx = np.fft.fftfreq(PERIOD)[:, None] * PERIOD, np.fft.rfftfreq(PERIOD)[None, :] * PERIOD
+    radius, power = np.hypot(fy, fx), np.abs(spectrum) ** 2
+    assert not power[(radius > 0) & (radius <= LONGEST_WAVES)].any()
+    scaled = [(power * radius**2)[(radius > low) & (radius < low + 2)].mean() for low in (16, 256)]
+    assert scaled[0] == pytest.approx(scaled[1], rel=4 * (1 / 107 + 1 / 1615) ** 0.5)
+
+
 def test_concrete_is_cached_by_seed_mean_and_contrast(monkeypatch) -> None:
     made = []
 
-    def concrete(*asked: float) -> np.ndarray:
+    def concrete_spectrum(*asked: float) -> np.ndarray:
         made.append(asked)
-        return np.full((4, 4), sum(asked))
+        return np.full((4, 3), sum(asked), dtype=complex)
 
-    monkeypatch.setattr(ground_module, "concrete", concrete)
+    monkeypatch.setattr(ground_module, "concrete_spectrum", concrete_spectrum)
     monkeypatch.setattr(
         ground_module, "_concrete_spectrum", lru_cache(8)(ground_module._concrete_spectrum.__wrapped__)
     )
     each = [(1, 128.0, 12.0), (2, 128.0, 12.0), (1, 100.0, 12.0), (1, 128.0, 8.0)]
     grounds = [Ground(seed, mean=mean, contrast=contrast) for seed, mean, contrast in (*each, *each)]
     assert made == each
-    sums = [kept._spectrum[0, 0].real / 16 for kept in grounds]
+    sums = [kept._spectrum[0, 0].real for kept in grounds]
     assert sums == [sum(asked) for asked in (*each, *each)]
     with pytest.raises(ValueError, match="read-only"):
         grounds[0]._spectrum[0, 0] = 0

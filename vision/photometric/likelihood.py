@@ -71,7 +71,7 @@ HOPELESS = 1.0
 """Log odds below which the remaining hypotheses are not compared. Chosen: no candidate recovers from it."""
 
 MIN_CELL_CORRELATION = 0.65
-"""Smallest correlation of a candidate's cells with a code's from which on hypotheses are compared. Measured:
+"""Smallest correlation of a candidate's cells with a code's for a comparison of hypotheses. Measured:
 accepted markers have 0.73 or more under odd conditions (tuning seeds), and those that are worth another fit
 0.68; half of the clutter on photographs has less. Chosen below these."""
 
@@ -155,7 +155,7 @@ def min_log_odds(dictionary: str) -> float:
 def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
     """Return the evidence for the likeliest marker of each of N candidates.
 
-    There is none for candidates of which bits lie beyond the image's edges.
+    Candidates with bits beyond the image's edges have none.
 
     Args:
         image: grey, (height, width).
@@ -170,7 +170,7 @@ def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
 
 
 def _show_all_bits(image: Image, corners_px: Array, dictionary: str) -> BoolArray:
-    """Return of which squares (N, 4, 2), px, all bits lie in the image."""
+    """Return which squares (N, 4, 2), px, have all bits in the image."""
     inner = 1 - 2 * border_cells(dictionary) / cells_per_side(dictionary)
     middles_px = corners_px.mean(axis=1, keepdims=True)
     bits_px = middles_px + inner * (corners_px - middles_px)

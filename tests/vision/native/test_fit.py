@@ -160,7 +160,7 @@ def test_invalid_blocks_are_rejected(name):
 
 
 @pytest.mark.parametrize("is_elliptic", [False, True])
-def test_last_blocks_repeat_their_last_pixel_with_columns_of_zero(is_elliptic):
+def test_last_blocks_repeat_their_last_pixel_without_weight(is_elliptic):
     blocks = library().list_pixels(markers_of(), (120, 160))
     bends = np.ones((len(blocks.columns), 3, BLOCK_PX), dtype=np.float32)
     if is_elliptic:

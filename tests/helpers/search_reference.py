@@ -7,7 +7,7 @@ import numpy as np
 
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_points
 from skyherd.vision.grey import Image, block_means
-from skyherd.vision.search.faint import MAX_DARKNESS, stretched_contrasts
+from skyherd.vision.search.faint import stretched_contrasts
 from skyherd.vision.search.quads import (
     ERODED_PX,
     GROWTH_PX,
@@ -27,7 +27,6 @@ from skyherd.vision.search.quads import (
 from skyherd.vision.search.regions import (
     DARKER,
     ENLARGEMENT,
-    MAX_CROWD,
     SHARPENING_PX,
     SMOOTHING_PX,
     WINDOWS_PX,
@@ -107,7 +106,6 @@ def find_quads(
     image: Image,
     known_px: Array | None = None,
     min_darkness: float = 0.0,
-    max_darkness: float = MAX_CROWD,
     shrinks: tuple[int, ...] = SHRINKS,
 ) -> Array:
     """Return the quadrilaterals of `skyherd.vision.search.quads.find_quads`."""
@@ -116,7 +114,7 @@ def find_quads(
         small = image if shrink == 1 else block_means(image, shrink)
         middle = (shrink - 1) / 2
         known = None if known_px is None else (known_px - middle) / shrink
-        mosaic = crowded_places(small, known, min_darkness, max_darkness)
+        mosaic = crowded_places(small, known, min_darkness)
         if mosaic is None:
             continue
         regions = dark_regions(mosaic)
@@ -141,8 +139,7 @@ def small_quads(mosaic: Mosaic) -> Array:
 def find_faint_quads(image: Image, known_px: Array, noise: float) -> Array:
     """Return the quadrilaterals of `skyherd.vision.search.faint.find_faint_quads`."""
     fine, coarse = stretched_contrasts(image, noise)
-    small = find_quads(fine, known_px, max_darkness=MAX_DARKNESS, shrinks=(1,))
-    return np.concatenate([small, find_quads(coarse, known_px, max_darkness=MAX_DARKNESS)])
+    return np.concatenate([find_quads(fine, known_px, shrinks=(1,)), find_quads(coarse, known_px)])
 
 
 def _quads_of(boundaries: Boundaries, growth_px: float, *, min_area_px2: float = MIN_AREA_PX2) -> Array:

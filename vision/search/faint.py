@@ -40,12 +40,6 @@ BLOCK_PX, SURROUNDINGS = 4, 15
 """Side of the blocks that have a gain each, px, and of the surroundings that determine it, in blocks. Chosen:
 surroundings are larger than the markers that are faint and yet small enough to be missed otherwise."""
 
-MAX_DARKNESS = 18.0
-"""Upper limit of the density limit of dark pixels (`regions.MAX_CROWD`) in stretched images, grey levels.
-Chosen: three times that of other images, since texture is stretched too. Measured on 3,240 markers of boards
-as above: 6 to 24 find the same ones. On photographs it takes a fifth less time than 6. Without a limit, 4 of
-96 markers with dead columns are lost."""
-
 MIDDLE = 128.0
 """Grey level of no difference."""
 
@@ -64,8 +58,8 @@ def find_faint_quads(image: Image, known_px: Array, noise: float) -> Array:
     if min(image.shape) < BLOCK_PX:
         return np.zeros((0, 4, 2))
     fine, coarse = stretched_contrasts(image, noise)
-    small = find_quads(fine, known_px, max_darkness=MAX_DARKNESS, shrinks=(1,))
-    return np.concatenate([small, find_quads(coarse, known_px, max_darkness=MAX_DARKNESS)])
+    small = find_quads(fine, known_px, shrinks=(1,))
+    return np.concatenate([small, find_quads(coarse, known_px)])
 
 
 def stretched_contrasts(image: Image, noise: float) -> tuple[Image, Image]:

@@ -17,7 +17,6 @@ from skyherd.vision.native.records import SearchParameters
 from skyherd.vision.search.regions import (
     DARKER,
     ENLARGEMENT,
-    MAX_CROWD,
     SHARPENING_PX,
     SMOOTHING_PX,
     WINDOWS_PX,
@@ -83,7 +82,6 @@ def find_quads(
     image: Image,
     known_px: Array | None = None,
     min_darkness: float = 0.0,
-    max_darkness: float = MAX_CROWD,
     shrinks: tuple[int, ...] = SHRINKS,
 ) -> Array:
     """Return the corners (N, 4, 2), px, of the dark quadrilaterals in a grey image (height, width).
@@ -100,7 +98,6 @@ def find_quads(
             those of 10 px.
         min_darkness: as in `crowded_places`. Measured under typical blur, as a share of the contrast: at
             least 0.075 for squares of 9 px or more, and 0.05 for squares of 8 px.
-        max_darkness: as in `crowded_places`.
         shrinks: downsampling factors of the images that are searched.
     """
     found = [np.zeros((0, 4, 2))]
@@ -108,7 +105,7 @@ def find_quads(
         small = image if shrink == 1 else block_means(image, shrink)
         middle = (shrink - 1) / 2
         known = None if known_px is None else (known_px - middle) / shrink
-        mosaic = crowded_places(small, known, min_darkness, max_darkness)
+        mosaic = crowded_places(small, known, min_darkness)
         if mosaic is not None:
             erosions = range(2) if shrink == 1 else range(1, 2)
             found.append(shrink * quads_of_places(mosaic, erosions) + middle)

@@ -38,7 +38,10 @@ CROWD_FACTOR, MIN_CROWD, MAX_CROWD = 2.2, 2.0, 6.0
 """Density limit: this factor times the mean darkness of the image, within these bounds in grey levels.
 
 Derived: noise of standard deviation σ has a mean darkness of 0.4 σ, with a standard deviation of 0.12 σ over
-25 pixels. A factor of 2.2 is four standard deviations above the mean."""
+25 pixels. A factor of 2.2 is four standard deviations above the mean.
+
+Measured for stretched images (`faint.py`), on 13,284 markers of 16 to 60 px and contrasts of 10 to 35 grey
+levels on texture: with 9, 12 and 18 instead of 6, 37, 117 and 208 of 7,524 are lost."""
 
 CROWD_REACH = 9
 """Width of the dilation of dense pixels, px of the half-size image. Chosen: it extends from an edge over the
@@ -91,12 +94,7 @@ class Mosaic:
         return self.offsets[np.searchsorted(self.begins, columns, side="right") - 1]
 
 
-def crowded_places(
-    image: Image,
-    known_px: Array | None = None,
-    min_darkness: float = 0.0,
-    max_darkness: float = MAX_CROWD,
-) -> Mosaic | None:
+def crowded_places(image: Image, known_px: Array | None = None, min_darkness: float = 0.0) -> Mosaic | None:
     """Return the places of an image with a high density of dark pixels, or None.
 
     Args:
@@ -104,14 +102,12 @@ def crowded_places(
         known_px: (K, 4, 2) corners of known squares, px. Pixels inside them and along their edges are
             excluded. Places beside them may extend over them.
         min_darkness: lower limit of the density limit, grey levels.
-        max_darkness: upper limit of the density limit, grey levels.
     """
     height, width = (side - side % 2 for side in image.shape)
     if min(height, width) == 0:
         return None
     image = image[:height, :width]
-    known_px = np.zeros((0, 4, 2)) if known_px is None else known_px
-    crowded = _crowded(image, known_px, min_darkness, max_darkness)
+    crowded = _crowded(image, np.zeros((0, 4, 2)) if known_px is None else known_px, min_darkness)
     return _mosaic(image, crowded) if crowded.any() else None
 
 
@@ -134,7 +130,7 @@ def _mosaic(image: Image, crowded_mask: Image) -> Mosaic:
     return Mosaic(np.hstack(crops), mask, begins, low[:, 0] - begins + 1j * low[:, 1])
 
 
-def _crowded(image: Image, known_px: Array, min_darkness: float, max_darkness: float) -> Image:
+def _crowded(image: Image, known_px: Array, min_darkness: float) -> Image:
     """Return the mask of places with a high density of dark pixels, at half the size.
 
     Known squares (K, 4, 2), px of the full image, and their edges are excluded.
@@ -144,7 +140,7 @@ def _crowded(image: Image, known_px: Array, min_darkness: float, max_darkness: f
         dtype=np.uint8,
     )
     darkness = np.asarray(cv2.subtract(_mean(half, COARSE_WINDOW), half), dtype=np.uint8)
-    crowd = np.clip(CROWD_FACTOR * cv2.mean(darkness)[0], MIN_CROWD, max_darkness)
+    crowd = np.clip(CROWD_FACTOR * cv2.mean(darkness)[0], MIN_CROWD, MAX_CROWD)
     least = max(float(crowd), min_darkness)
     _, crowded = cv2.threshold(_mean(darkness, COARSE_WINDOW), least, 255, cv2.THRESH_BINARY)
     for square in np.rint((known_px - 0.5) / 2).astype(np.int32):

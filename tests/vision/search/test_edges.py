@@ -8,12 +8,10 @@ from skyherd.vision.search.edges import fit_edges
 from skyherd.vision.search.faint import (
     COARSE_SPREAD,
     FINE_SPREAD,
-    MAX_DARKNESS,
     find_faint_quads,
     stretched_contrasts,
 )
 from skyherd.vision.search.quads import find_quads
-from skyherd.vision.search.regions import MAX_CROWD, crowded_places
 
 QUAD = np.array([[30.3, 28.1], [92.7, 35.4], [88.2, 97.9], [25.6, 90.2]])
 FINE = 8
@@ -87,17 +85,12 @@ def test_faint_images_are_stretched_to_one_contrast() -> None:
     assert np.unique(fine).tolist() == [128] and np.isin(coarse, [0, 255]).mean() > 0.3
 
 
-def test_faint_square_on_texture_is_found_and_texture_left_out() -> None:
-    """Texture of 2 grey levels fills the places under the limit of other images, the negative control."""
+def test_faint_square_on_texture_is_found_when_stretched() -> None:
+    """On texture of a ninth of the contrast, which fills the image as the square's own edges do."""
     grain = cv2.GaussianBlur(np.random.default_rng(8).normal(size=(128, 128)), (0, 0), 1.0)
-    grain *= 2.0 / grain.std()
-    image = noisy(drawn(QUAD, black=100.0, white=118.0) + grain, 9, 0.5)
+    image = noisy(drawn(QUAD, black=100.0, white=118.0) + 2.0 * grain / grain.std(), 9, 0.5)
     middles = find_faint_quads(image, np.zeros((0, 4, 2)), 0.5).mean(axis=1)
     assert (np.abs(middles - QUAD.mean(axis=0)).max(axis=1) < 2).any()
-    ground = stretched_contrasts(noisy(118.0 + grain, 9, 0.5), 0.5)[1]
-    places = [crowded_places(ground, max_darkness=limit) for limit in (MAX_CROWD, MAX_DARKNESS)]
-    shares = [0.0 if one is None else np.count_nonzero(one.mask) / 64**2 for one in places]
-    assert shares[0] > 0.8 and shares[1] < 0.3
 
 
 def texture() -> np.ndarray:

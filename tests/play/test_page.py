@@ -7,6 +7,7 @@ from play_pages import wait_until
 
 from skyherd.datasets import load_mission, read_interventions
 from skyherd.markers.dictionary import marker_cells
+from skyherd.play import page as page_module
 from skyherd.play.pictures import ground_picture, marker_picture
 from skyherd.play.poses import VIEW_FOV_RAD, Window, field_of_view_rad, view_of, wxyz_about_z, wxyz_of
 from skyherd.play.scene import corners_m, drawn_grid_m
@@ -131,6 +132,13 @@ class TestView:
         assert v.min() >= window.v[0] - tolerance and v.max() <= window.v[1] + tolerance
         fills = [np.ptp(seen) / (high - low) for seen, (low, high) in ((u, window.u), (v, window.v))]
         assert max(fills) == pytest.approx(1)
+
+
+def test_end_does_not_wait_for_the_next_drawing(open_page, monkeypatch):
+    """After a drawing that took long, as on a busy machine, the pause is long, too."""
+    monkeypatch.setattr(page_module, "DRAWING_SHARE", 1e-9)
+    with open_page() as page:
+        wait_until(lambda: page._step is not None and page._news.qsize() > 5)
 
 
 def test_text_of_external_source_has_no_markup():

@@ -7,8 +7,8 @@ as often as it may. The loop never waits for it, nor for a browser.
 from collections.abc import Iterator
 from queue import Empty, SimpleQueue
 from socket import socket
-from threading import Thread
-from time import perf_counter, sleep
+from threading import Event, Thread
+from time import perf_counter
 
 from skyherd.loop import Step
 from skyherd.play.messages import MessageFilter
@@ -47,6 +47,7 @@ class Page:
     def __init__(self, session: Session, access: Access, listener: socket) -> None:
         self.session, self.access = session, access
         self._news: SimpleQueue[Step | str | object] = SimpleQueue()
+        self._is_over = Event()
         self._error: BaseException | None = None
         allowed = MessageFilter()
         self.server = start_server(access, listener, allowed)
@@ -60,13 +61,15 @@ class Page:
     def run(self) -> None:
         """Run the session until it is asked to end."""
         drawing = Thread(target=self._keep_drawing, name="drawing", daemon=True)
-        drawing.start()
         try:
+            drawing.start()
             for step in self.session.steps():
                 self._news.put(step)
         finally:
+            self._is_over.set()
             self._news.put(END)
-            drawing.join()
+            if drawing.is_alive():
+                drawing.join()
         if self._error is not None:
             raise self._error
 
@@ -86,7 +89,7 @@ class Page:
                     self._scene.draw(self._step, mission, images)
                     self._panel.show(self._step, mission, images)
                 cost_s = perf_counter() - started_s
-                sleep(max(MIN_INTERVAL_S - cost_s, cost_s / DRAWING_SHARE - cost_s))
+                self._is_over.wait(max(MIN_INTERVAL_S - cost_s, cost_s / DRAWING_SHARE - cost_s))
         except BaseException as error:
             self._error = error
             self.session.ask(End())

@@ -94,14 +94,17 @@ def test_check_of_loaded_modules_detects_numpy():
 @pytest.mark.parametrize(("given", "expected"), [(None, 1), ("3", 3)])
 def test_linear_algebra_has_one_thread_unless_told(given, expected):
     """NumPy makes its threads when it is loaded; the environment of a user counts."""
-    code = "import os, skyherd.__main__ as entry; entry.limit_blas_threads(); import numpy"
-    environment = {name: value for name, value in os.environ.items() if name not in BLAS_THREADS}
+    code = "import os, sys; from skyherd.__main__ import main; sys.argv = ['skyherd', '--help']"
+    code += "\ntry: main()\nexcept SystemExit: pass"
+    code += "\nimport numpy; print(len(os.listdir('/proc/self/task')), file=sys.stderr)"
+    environment = {
+        name: value for name, value in os.environ.items() if name not in [*BLAS_THREADS, "OMP_NUM_THREADS"]
+    }
     environment |= {} if given is None else {"OPENBLAS_NUM_THREADS": given}
-    count = f"{code}; print(len(os.listdir('/proc/self/task')))"
     ended = subprocess.run(
-        [sys.executable, "-c", count], capture_output=True, text=True, check=True, env=environment
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
     )
-    assert int(ended.stdout) == min(expected, os.cpu_count() or 1)
+    assert int(ended.stderr) == min(expected, len(os.sched_getaffinity(0)))
 
 
 def test_live_modules_load_no_matplotlib():

@@ -149,9 +149,8 @@ class _Places:
         A marker has the role of the nearest place within `SAME_PLACE_SIDES`. Without one its role is unknown,
         and turns are counted from 0. Places that are not seen are kept for `AMBIGUOUS_S`.
         """
-        from scipy.optimize import (
-            linear_sum_assignment,
-        )  # Imported here: it takes 0.08 s.
+        # Imported here: it takes 0.08 s, and few runs need it.
+        from scipy.optimize import linear_sum_assignment
 
         points_px = to_complex(seen.centers_px)
         away = np.abs(points_px[:, None] - self.points_px) / seen.sides_px[:, None]

@@ -28,7 +28,7 @@ uneven light, and repeat visibly."""
 
 
 def concrete_spectrum(seed: int, mean: float, contrast: float) -> npt.NDArray[np.complex128]:
-    """Return the spectrum (PERIOD, PERIOD // 2 + 1), as of `rfft2`, of noise that falls with the frequency.
+    """Return the spectrum (PERIOD, PERIOD // 2 + 1), as of `rfft2`, of noise with an amplitude of 1/f.
 
     Args:
         seed: seed of the noise.

@@ -136,7 +136,7 @@ class TestView:
 
 def test_end_does_not_wait_for_the_next_drawing(open_page, monkeypatch):
     """After a drawing that took long, as on a busy machine, the pause is long, too."""
-    monkeypatch.setattr(page_module, "DRAWING_SHARE", 1e-9)
+    monkeypatch.setattr(page_module, "MIN_INTERVAL_S", 60.0)
     with open_page() as page:
         wait_until(lambda: page._step is not None and page._news.qsize() > 5)
 

@@ -16,7 +16,7 @@ INLINE Floats model_at(const float *columns, const float *factors) {
     return even + odd + factors[UNKNOWNS - 1] * load(columns + (UNKNOWNS - 1) * BLOCK_PX);
 }
 
-/* Return the columns of pixels from number `at` on, places for all blocks before it included. */
+/* Return the columns of the pixels from place `at` on; places count from the first block, BLOCK_PX for each. */
 INLINE const float *columns_at(const MarkerBlocks *given, int64_t at) {
     return given->columns + at / BLOCK_PX * BLOCK_FLOATS + at % BLOCK_PX;
 }

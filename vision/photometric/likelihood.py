@@ -163,13 +163,13 @@ def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
         dictionary: of the markers.
     """
     odds = _no_odds(np.zeros(len(corners_px), dtype=np.int64))
-    whole = np.flatnonzero(_show_all_bits(image, corners_px, dictionary))
+    whole = np.flatnonzero(_bits_in_image(image, corners_px, dictionary))
     if not whole.size:
         return odds
     return odds.put(whole, _odds_in_image(image, corners_px[whole], dictionary))
 
 
-def _show_all_bits(image: Image, corners_px: Array, dictionary: str) -> BoolArray:
+def _bits_in_image(image: Image, corners_px: Array, dictionary: str) -> BoolArray:
     """Return which squares (N, 4, 2), px, have all bits in the image."""
     inner = 1 - 2 * border_cells(dictionary) / cells_per_side(dictionary)
     middles_px = corners_px.mean(axis=1, keepdims=True)
@@ -230,7 +230,7 @@ def _odds_of_readings(readings: Readings, dictionary: str) -> MarkerOdds:
 
 
 def _no_odds(codes: IntArray) -> MarkerOdds:
-    """Return evidence for N candidates that resemble no code; `codes` (N,) are the nearest."""
+    """Return the record of N candidates that are compared with no hypothesis; it names `codes` (N,)."""
     count, (ids, turns) = len(codes), np.divmod(codes, 4)
     never, nothing = np.full(count, -np.inf), np.zeros(count)
     against = np.full((count, 4), -np.inf)

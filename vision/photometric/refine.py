@@ -299,9 +299,9 @@ MIN_STREAK_PX2 = 0.02
 its noise, and lenses have as much."""
 
 HOPELESS_RISE = 1.05
-"""Rise of the residuals by the first round from which on there are no others. Measured on 107 photographs
-with evidence of a streak: it is 1.03 at most where later rounds lower the residuals, and up to 3.8 where none
-does, because the markers have different streaks."""
+"""Ratio of the residuals after a round to those under round blur above which the streak is given up. Measured
+on 107 photographs with evidence of a streak: after the first round it is 1.03 at most where later ones bring
+it below 1, and up to 3.8 where none does."""
 
 STREAK_ROUNDS, SETTLED_SHARE = 4, 0.05
 """Markers are fitted under a streak so often at most, until it changes by less than this share. Chosen: what

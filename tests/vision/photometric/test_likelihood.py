@@ -370,11 +370,11 @@ def test_a_marker_with_bits_beyond_the_image_has_no_odds(dictionary, turn_deg, m
     square = corners(n) @ turn[:, :2].T + turn[:, 2]
     first = (middle + (1 - 2 * border / n) * (square - middle))[..., 0].min() + 0.5  # edge of the bits
     shown = [
-        likelihood._show_all_bits(image[:, left:], square - [left, 0], dictionary)[0]
+        likelihood._bits_in_image(image[:, left:], square - [left, 0], dictionary)[0]
         for left in (int(first), int(first) + 1)
     ]
     assert shown == [True, False]
     given = noisy(image[:, int(first) + 1 :], 1), square - [int(first) + 1, 0], dictionary
     assert marker_odds(*given).log_odds[0] == -np.inf == marker_odds(*given).against.min()
-    monkeypatch.setattr(likelihood, "_show_all_bits", lambda *of: np.array([True]))
+    monkeypatch.setattr(likelihood, "_bits_in_image", lambda *of: np.array([True]))
     assert marker_odds(*given).against.min() > -np.inf  # the negative control

@@ -378,3 +378,14 @@ def test_a_marker_with_bits_beyond_the_image_has_no_odds(dictionary, turn_deg, m
     assert marker_odds(*given).log_odds[0] == -np.inf == marker_odds(*given).against.min()
     monkeypatch.setattr(likelihood, "_bits_in_image", lambda *of: np.array([True]))
     assert marker_odds(*given).against.min() > -np.inf  # the negative control
+
+
+def test_candidates_beyond_the_image_leave_the_others_odds(monkeypatch) -> None:
+    """Of two equal candidates the one that counts as cut has no odds; the other keeps its row."""
+    image = noisy(card(marker_cells("APRILTAG_36h11", 301)), 1)
+    both = np.concatenate([corners(8), corners(8, 3)])
+    alone = marker_odds(image, corners(8, 3), "APRILTAG_36h11")
+    monkeypatch.setattr(likelihood, "_bits_in_image", lambda *of: np.array([False, True]))
+    odds = marker_odds(image, both, "APRILTAG_36h11")
+    assert odds.log_odds[0] == -np.inf and odds.log_odds[1] == pytest.approx(alone.log_odds[0])
+    assert odds.turns[1] == alone.turns[0] and odds.ids[1] == 301

@@ -72,6 +72,28 @@ def test_a_rise_of_the_residuals_ends_the_rounds(monkeypatch):
     assert ended == score(11, 1, 1, motion_px=4.0, blur_px=0.8) != under_streak
 
 
+def test_a_streak_that_leaves_greater_residuals_is_not_taken(monkeypatch):
+    """By 2 % after the last round, at which no limit ends the rounds and every fit is verified."""
+    fit, with_streak, before = refine.fit_any_blur, measure.with_streak, dict[int, float]()
+
+    def noted(image, dictionary, fits, *rest):
+        before.update(zip(fits.ids.tolist(), fits.noise_stds.tolist(), strict=True))
+        return with_streak(image, dictionary, fits, *rest)
+
+    def worse(*given, **how):
+        fits, plane = fit(*given, **how)
+        return replace(
+            fits, noise_stds=1.02 * np.array([before[marker] for marker in fits.ids.tolist()])
+        ), plane
+
+    under_streak = score(11, 1, 1, motion_px=4.0, blur_px=0.8)
+    monkeypatch.setattr(measure, "with_streak", noted)
+    monkeypatch.setattr(refine, "fit_any_blur", worse)
+    refused = score(11, 1, 1, motion_px=4.0, blur_px=0.8)
+    monkeypatch.setattr(measure, "with_streak", is_round)
+    assert refused == score(11, 1, 1, motion_px=4.0, blur_px=0.8) != under_streak
+
+
 @pytest.mark.parametrize("toward_rad", [0.3, 1.4, 2.6])
 def test_the_streak_found_is_the_one_drawn(monkeypatch, place_markers, draw_markers, toward_rad):
     """Q = L² / 24 e^{2iφ} of 2 px, which another program draws: the mean of shifted images. A Gaussian takes

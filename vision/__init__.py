@@ -19,6 +19,7 @@ from skyherd.vision.detectors.registry import (
     explain_mirrored,
 )
 from skyherd.vision.diagnosis.explain import Rejection, detect_and_explain, explain
+from skyherd.vision.diagnosis.reading import Reading
 from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.diagnosis.suggestions import find_dictionary, suggest
 from skyherd.vision.fusion.fuse import fuse_markers
@@ -40,6 +41,7 @@ __all__ = [
     "MarkerImages",
     "PeerDetector",
     "PhotometricDetector",
+    "Reading",
     "Reason",
     "Rejection",
     "check_detector_name",

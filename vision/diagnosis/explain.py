@@ -2,22 +2,23 @@
 
 The stages are those of the detector, and the results of its searches are taken as they are
 (`PhotometricDetector.searches`). A candidate that was fitted is explained by the first test that its fit
-fails, and by its log odds. An outline that was not decoded is explained by its wrong cells. Other markers are
-searched for in slower ways (`candidates`), read by correlation with all markers (`quad_reading`), and fitted
-to find the test that they would fail.
+fails, and by its log odds. A quadrilateral that resembles a marker and was not fitted is explained by its
+wrong cells. Markers that no search can find are guessed (`guesses`), and fitted to find the test that they
+would fail.
 """
 
 from collections import Counter
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.geometry import Array
-from skyherd.markers.dictionary import card_side, cells_per_side, code_distance
+from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, IntArray, to_points
+from skyherd.markers.dictionary import cells_per_side, code_distance, sides_of_corners
 from skyherd.messages import Detections
-from skyherd.vision.diagnosis.candidates import bright_groups, cut_squares, dark_patches, dark_shapes
-from skyherd.vision.diagnosis.places import first_of_each_place, lie_on_markers
-from skyherd.vision.diagnosis.quad_reading import Reading, read_outlines, read_quads, show_all_bits
+from skyherd.vision.diagnosis.guesses import dark_patches, guess_markers
+from skyherd.vision.diagnosis.places import first_of_each_place, on_detections
+from skyherd.vision.diagnosis.reading import Named, Reading, depths, name_quads, read_markers
 from skyherd.vision.diagnosis.reasons import (
     CERTAIN,
     Measured,
@@ -25,37 +26,38 @@ from skyherd.vision.diagnosis.reasons import (
     Suspect,
     failed_test,
     find_reason,
-    is_clear,
-    is_cut,
-    is_dark,
 )
-from skyherd.vision.diagnosis.wording import describe
+from skyherd.vision.diagnosis.wording import WORDS, describe
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.candidates import SearchPass
 from skyherd.vision.photometric.detector import PhotometricDetector
+from skyherd.vision.photometric.fitting.fit_result import no_fit_results
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
+from skyherd.vision.photometric.measure import fit_alone
 from skyherd.vision.photometric.verify import Quantity, verification_tests
-from skyherd.vision.search.decode import decode_quads
+from skyherd.vision.row_record import RowRecord
 from skyherd.vision.search.edges import fit_edges
 
-REACH = 0.6
-"""A candidate centred within this share of a detected card's side from its centre is part of that card.
-Chosen: more than half, for candidates that reach over its edge."""
+BORDER_PX = 1.5
+"""A candidate with a corner nearer to the image's border than this, px, is cut. Chosen: outlines are found to
+about a pixel."""
 
-BONUS = 0.3
-"""Added to the rank of candidates that read without a fault or have a clear frame, and of those that were
-fitted, a likeness. Chosen: more than likenesses of markers in one place differ by."""
+MIRRORED_MALUS = 0.02
+"""By how much more alike a mirror image must be than a marker. Chosen: more than rounding, and less than a
+wrong cell of the smallest codes, 0.05."""
 
-VISIBLE_EXPONENT = 0.25
-"""Exponent of the share in the image in a candidate's rank. Chosen: a square half outside loses a sixth."""
+DARK_LEVELS = 25.0
+"""A dark quadrilateral without bits is reported if its surroundings are brighter by this, grey levels.
+Chosen: fainter ones are shadows and texture."""
+
+TINY_PX = 10.0
+"""Side, px, below which a quadrilateral is compared with markers also at the edges that its sides have.
+Chosen: a pixel by which it is off is more than half a cell."""
 
 RIVALS = ("another marker", "bits by chance", "a light rectangle", "another grid")
 """What a candidate may be instead of a marker, in the order of `MarkerOdds.against`."""
-
-SURE, MIN_VISIBLE = 0.93, 0.4
-"""Likeness and share in the image that make a guessed square a marker, if all of its bits are right. Chosen
-high, since many squares are guessed and chance is like some marker too."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,8 @@ class Rejection:
     Attributes:
         reason: what is wrong with it.
         measured: the quantity that fails, with its limit; None if the reason is no quantity.
-        reading: what its cells read.
+        corners_px: (4, 2) corners, px, in order around it; they may lie outside the image.
+        reading: what it shows of the marker that it resembles; None of a quadrilateral without bits.
         words: the reason with its numbers, and what to do about it.
         log_odds: natural logarithm of the odds that it is a marker, at its edges; -inf if that is hopeless
             or it has no bits.
@@ -74,20 +77,21 @@ class Rejection:
 
     reason: Reason
     measured: Measured | None
-    reading: Reading
+    corners_px: Array
+    reading: Reading | None
     words: str
     log_odds: float
     rival: str
 
     @property
-    def corners_px(self) -> Array:
-        """Return corners (4, 2), px, in order around the candidate; they may lie outside the image."""
-        return self.reading.corners_px
-
-    @property
     def center_px(self) -> Array:
         """Return mean (2,) of the corners, px."""
         return np.asarray(self.corners_px.mean(axis=0))
+
+    @property
+    def side_px(self) -> float:
+        """Return side of a square of the same area, px."""
+        return float(sides_of_corners(self.corners_px[None])[0])
 
 
 def detect_and_explain(
@@ -139,133 +143,162 @@ def _explained(
     detections: Detections,
 ) -> list[Rejection]:
     """Return why each thing that looks like a marker was not detected, by both searches of the image."""
-    dictionary = detector.dictionary
-    suspects = sorted(_all_suspects(image, dictionary, searches, detections), key=_rank, reverse=True)
-    suspects = [suspects[row] for row in first_of_each_place(_corners_px(suspects))]
-    there = Counter(detections.ids.tolist())
-    there.update(s.reading.nearest_id for s in suspects if s.good or _is_exact(s.reading))
-    likely, plain = list[tuple[Suspect, Reason, Measured | None]](), list[Rejection]()
-    for suspect in suspects:
-        if not suspect.seen:
-            suspect = replace(suspect, failed=_failed_all_the_same(image, detector, suspect.reading))
-        reason, measured = find_reason(suspect, again=there[suspect.reading.nearest_id] > 1)
-        if reason is not Reason.NO_BITS:
-            likely.append((suspect, reason, measured))
-        elif is_dark(suspect.reading):
-            words = describe(reason, measured, suspect.reading, dictionary)
-            plain.append(Rejection(reason, measured, suspect.reading, words, -np.inf, ""))
-    return _with_odds(image, dictionary, likely) + plain
+    dictionary, quads_px = detector.dictionary, np.concatenate([look.quads_px for look in searches])
+    quads_px = quads_px[~on_detections(quads_px, detections, dictionary)]
+    suspects = _suspects(image, dictionary, searches, quads_px, detections)
+    suspects = suspects.take(np.argsort(-suspects.ranks, kind="stable"))
+    suspects = suspects.take(first_of_each_place(suspects.corners_px))
+    likely = _likely(image, dictionary, searches, suspects, detections)
+    return likely + _plain(image, dictionary, quads_px, likely)
 
 
-def _with_odds(
-    image: Image, dictionary: str, likely: list[tuple[Suspect, Reason, Measured | None]]
+def _likely(
+    image: Image,
+    dictionary: str,
+    searches: tuple[SearchPass, SearchPass],
+    suspects: "_Suspects",
+    detections: Detections,
 ) -> list[Rejection]:
-    """Return the rejections of what resembles markers, with the evidence at the poses by their edges."""
-    edges = fit_edges(image, _corners_px([suspect for suspect, _, _ in likely]), cells_per_side(dictionary))
-    odds = marker_odds(image, edges.corners_px, dictionary)
-    rejections, least = [], min_log_odds(dictionary)
-    for row, (suspect, reason, measured) in enumerate(likely):
-        log_odds = float(odds.log_odds[row])
-        rival = RIVALS[int(np.argmin(np.nan_to_num(odds.against[row], nan=np.inf)))]
-        words = describe(reason, measured, suspect.reading, dictionary)
-        if np.isfinite(log_odds):
-            words += f"; log odds of a marker {log_odds:.1f} against {rival}, at least {least:.1f}"
-        rejections.append(Rejection(reason, measured, suspect.reading, words, log_odds, rival))
-    return rejections
+    """Return the suspects that have bits, with the reason and the evidence at the poses by their edges."""
+    fitted_px, failures = _fitted(image, dictionary, searches, suspects)
+    readings = read_markers(image, suspects.named, fitted_px, dictionary)
+    edges = fit_edges(image, _corners_px(readings), cells_per_side(dictionary))
+    odds, least = marker_odds(image, edges.corners_px, dictionary), min_log_odds(dictionary)
+    there = Counter(detections.ids.tolist())
+    exact = [good or _is_exact(reading) for good, reading in zip(suspects.good, readings, strict=True)]
+    there.update(reading.nearest_id for reading, counts in zip(readings, exact, strict=True) if counts)
+    likely = []
+    for row, reading in enumerate(readings):
+        log_odds, fitted = float(odds.log_odds[row]), bool(suspects.fits[row] >= 0)
+        seen, good = bool(suspects.seen[row]), bool(suspects.good[row])
+        suspect = Suspect(reading, seen, fitted, good, failures[row], log_odds)
+        reason, measured = find_reason(suspect, again=there[reading.nearest_id] > 1)
+        if reason is not Reason.NO_BITS:
+            rival = RIVALS[int(np.argmin(np.nan_to_num(odds.against[row], nan=np.inf)))]
+            words = describe(reason, measured, reading, dictionary)
+            if np.isfinite(log_odds):
+                words += f"; log odds of a marker {log_odds:.1f} against {rival}, at least {least:.1f}"
+            likely.append(Rejection(reason, measured, reading.corners_px, reading, words, log_odds, rival))
+    return likely
 
 
-def _corners_px(suspects: list[Suspect]) -> Array:
-    """Return the corners (N, 4, 2) of suspects, px."""
-    return np.array([suspect.reading.corners_px for suspect in suspects]).reshape(-1, 4, 2)
+def _plain(image: Image, dictionary: str, quads_px: Array, likely: list[Rejection]) -> list[Rejection]:
+    """Return the dark quadrilaterals (N, 4, 2) that share no place with what has bits, one of each place."""
+    dark_px = quads_px[~_are_cut(image, quads_px)]
+    dark_px = dark_px[depths(image, dark_px, dictionary) >= DARK_LEVELS]
+    apart = first_of_each_place(np.concatenate([_corners_px(likely), dark_px])) - len(likely)
+    return [
+        Rejection(Reason.NO_BITS, None, corners_px, None, WORDS[Reason.NO_BITS], -np.inf, "")
+        for corners_px in dark_px[apart[apart >= 0]]
+    ]
 
 
-def _all_suspects(
-    image: Image, dictionary: str, searches: tuple[SearchPass, SearchPass], detections: Detections
-) -> list[Suspect]:
-    """Return all that may be markers, apart from the detections.
+def _corners_px(found: Sequence[Reading | Rejection]) -> Array:
+    """Return corners (N, 4, 2), px."""
+    return np.array([one.corners_px for one in found]).reshape(-1, 4, 2)
 
-    Candidates that reach the image's border and read with a fault are left out: it may be their outline.
+
+def _suspects(
+    image: Image,
+    dictionary: str,
+    searches: tuple[SearchPass, SearchPass],
+    quads_px: Array,
+    detections: Detections,
+) -> "_Suspects":
+    """Return what is not detected and may be a marker.
+
+    That are the candidates of both searches, quadrilaterals (N, 4, 2) that resemble markers, tiny ones also
+    at their edges, and guesses.
     """
-    first, second = searches
-    reaches_px = REACH * card_side(dictionary) * detections.sides_px
+    both = searches[0].joined(searches[1])
+    count = both.good.size
+    named = Named(both.candidates, np.zeros(count, dtype=bool))
+    tried = _Suspects(named, np.ones(count, dtype=bool), np.arange(count), both.good)
+    tiny = (sides_of_corners(quads_px) < TINY_PX) & (depths(image, quads_px, dictionary) >= DARK_LEVELS)
+    edges_px = fit_edges(image, quads_px[tiny], cells_per_side(dictionary)).corners_px
+    outlines_px = np.concatenate([quads_px, edges_px])
+    seen = tried.joined(_Suspects.of(name_quads(image, outlines_px, dictionary)))
+    seen = seen.joined(_Suspects.of(name_quads(image, dark_patches(image), dictionary), seen=False))
+    is_whole = ~_are_cut(image, seen.corners_px) | (seen.named.decoded.correlations >= CERTAIN)
+    guesses = _Suspects.of(guess_markers(image, dictionary, detections), seen=False)
+    suspects = seen.take(seen.good | is_whole).joined(guesses)
+    return suspects.take(~on_detections(suspects.corners_px, detections, dictionary))
 
-    def unknown(quads_px: Array) -> Array:
-        return quads_px[~lie_on_markers(quads_px, detections.centers_px, reaches_px)]
 
+@dataclass(frozen=True)
+class _Suspects(RowRecord):
+    """N possible markers, and the stages that the detector reached with them.
+
+    Attributes:
+        named: of each the marker that it resembles most.
+        seen: (N,) whether the search found an outline.
+        fits: (N,) number of its fit in both searches; -1 if it was not fitted there.
+        good: (N,) whether it is accepted.
+    """
+
+    named: Named
+    seen: BoolArray
+    fits: IntArray
+    good: BoolArray
+
+    @classmethod
+    def of(cls, named: Named, *, seen: bool = True) -> "_Suspects":
+        """Return suspects that were not fitted."""
+        count = named.mirrored.size
+        return cls(named, np.full(count, seen), np.full(count, -1), np.zeros(count, dtype=bool))
+
+    @property
+    def corners_px(self) -> Array:
+        """Return the corners (N, 4, 2), px."""
+        return self.named.decoded.corners_px
+
+    @property
+    def ranks(self) -> Array:
+        """Return ranks (N,), of which the highest of a place stays."""
+        likeness = self.named.decoded.correlations - MIRRORED_MALUS * self.named.mirrored
+        return np.asarray(likeness + 2.0 * self.good)
+
+
+def _fitted(
+    image: Image, dictionary: str, searches: tuple[SearchPass, SearchPass], suspects: _Suspects
+) -> tuple[Array, list[tuple[Quantity, Measured] | None]]:
+    """Return the corners (N, 4, 2) of suspects by fits, px, and the test that each fails, or None.
+
+    Suspects without a fit of the searches are fitted here, apart from mirror images.
+    """
+    (first, second), decoded, numbers = searches, suspects.named.decoded, suspects.fits.copy()
     noise, distance = image_noise(image), code_distance(dictionary)
-    suspects: list[Suspect] = []
-    for look, beside in ((first, None), (second, first.found)):
-        fits = look.fits if beside is None else beside.joined(look.fits)
-        tests = verification_tests(fits, noise, distance) if fits.ids.size else []
-        known = lie_on_markers(look.candidates.corners_px, detections.centers_px, reaches_px)
-        rows = np.flatnonzero(~known)
-        readings = read_outlines(image, look.candidates.corners_px[rows], dictionary)
-        for row, reading in zip(rows.tolist(), readings, strict=True):
-            failed = failed_test(tests, fits.ids.size - look.fits.ids.size + row)
-            good = bool(look.good[row])
-            suspects.append(Suspect(reading, True, True, good, None if good else failed))
-        others = read_outlines(image, unknown(look.quads_px), dictionary)
-        suspects += [Suspect(reading, seen=True) for reading in others]
-    size_px = np.array([image.shape[1], image.shape[0]])
-    suspects = [s for s in suspects if s.good or _is_exact(s.reading) or not is_cut(s.reading, size_px)]
-    shapes = dark_shapes(image)
-    patches = read_outlines(image, unknown(dark_patches(shapes)), dictionary)
-    guesses = np.concatenate([cut_squares(shapes, size_px, dictionary), bright_groups(image, dictionary)])
-    unseen = _whole_or_sure(image, patches) + _sure_guesses(image, unknown(guesses), dictionary)
-    return suspects + [Suspect(reading, seen=False) for reading in unseen]
+    rest = np.flatnonzero((numbers < 0) & ~suspects.named.mirrored)
+    numbers[rest] = first.good.size + second.good.size + np.arange(rest.size)
+    start = LocalHomographies.of_corners(decoded.corners_px[rest])
+    more = (
+        fit_alone(image, dictionary, decoded.ids[rest], start, noise)
+        if rest.size
+        else no_fit_results(dictionary)
+    )
+    failures: list[tuple[Quantity, Measured] | None] = []
+    known = no_fit_results(dictionary)
+    for fits, good in (
+        (first.fits, first.good),
+        (second.fits, second.good),
+        (more, np.zeros(rest.size, dtype=bool)),
+    ):
+        both = known.joined(fits)
+        tests = verification_tests(both, noise, distance) if both.ids.size else []
+        failures += [failed_test(tests, known.ids.size + row) for row in range(good.size)]
+        known = known.joined(fits.take(good))
+    rows, corners_px = np.flatnonzero(numbers >= 0), decoded.corners_px.copy()
+    shapes = first.fits.joined(second.fits).joined(more).homographies.take(numbers[rows])
+    corners_px[rows] = to_points(shapes.images(SQUARE_CORNERS))
+    return corners_px, [None if number < 0 else failures[number] for number in numbers.tolist()]
 
 
-def _whole_or_sure(image: Image, readings: list[Reading]) -> list[Reading]:
-    """Return readings without those that reach the image's border, which may be their outline.
-
-    Such a reading counts if it reads without a fault.
-    """
-    size_px = np.array([image.shape[1], image.shape[0]])
-    return [reading for reading in readings if not is_cut(reading, size_px) or _is_sure(reading)]
-
-
-def _sure_guesses(image: Image, quads_px: Array, dictionary: str) -> list[Reading]:
-    """Return readings of the guessed squares (N, 4, 2) that read without a fault."""
-    shown = show_all_bits(image, quads_px, dictionary, MIN_VISIBLE)
-    return [reading for reading in read_quads(image, quads_px[shown], dictionary) if _is_sure(reading)]
-
-
-def _failed_all_the_same(
-    image: Image, detector: PhotometricDetector, reading: Reading
-) -> tuple[Quantity, Measured] | None:
-    """Return the test that a fit from a reading's corners fails, or None."""
-    if not _is_exact(reading):
-        return None
-    sigma_px = reading.blur_cells * float(reading.cell_px.mean())
-    candidates = decode_quads(image, reading.corners_px[None], detector.dictionary, sigma_px)
-    fits = detector.measure(image, candidates).fits
-    if not fits.ids.size:
-        return None
-    return failed_test(verification_tests(fits, image_noise(image), code_distance(detector.dictionary)), 0)
+def _are_cut(image: Image, quads_px: Array) -> BoolArray:
+    """Return which quadrilaterals (N, 4, 2) reach the border of an image: it may be their outline."""
+    last_px = np.array(image.shape[::-1]) - 1
+    return np.asarray(((quads_px < BORDER_PX) | (quads_px > last_px - BORDER_PX)).any(axis=(1, 2)))
 
 
 def _is_exact(reading: Reading) -> bool:
     """Return whether it is plainly a marker, with no wrong bit, and no mirror image of one."""
     return reading.wrong_bits == 0 and reading.likeness >= CERTAIN and not reading.mirrored
-
-
-def _is_sure(reading: Reading) -> bool:
-    """Return whether a square without an outline of its own is a marker, as far as its cells show."""
-    return reading.likeness >= SURE and reading.wrong_bits == 0 and reading.visible >= MIN_VISIBLE
-
-
-def _rank(suspect: Suspect) -> tuple[float, bool]:
-    """Return the rank of a suspect: its likeness, and whether it was fitted. The highest of a place stays."""
-    reached = (suspect.fitted and suspect.reading.wrong_bits == 0) + 2 * suspect.good
-    return _likeness(suspect.reading) + BONUS * reached, suspect.fitted
-
-
-def _likeness(reading: Reading) -> float:
-    """Return how marker-like a reading is."""
-    return float(reading.likeness * reading.visible**VISIBLE_EXPONENT + BONUS * _reads_well(reading))
-
-
-def _reads_well(reading: Reading) -> bool:
-    """Return whether it reads without a fault, mirrored or not, or has a clear frame."""
-    exact = reading.likeness >= CERTAIN and reading.wrong_bits == 0
-    return exact or (is_clear(reading) and is_dark(reading))

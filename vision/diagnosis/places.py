@@ -3,6 +3,12 @@
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray
+from skyherd.markers.dictionary import card_side
+from skyherd.messages import Detections
+
+REACH = 0.6
+"""A candidate centred within this share of a detected card's side from its centre is part of that card.
+Chosen: more than half, for candidates that reach over its edge."""
 
 QUADS_AT_ONCE = 256
 """Quadrilaterals that are compared with all others at once. Chosen: bounds the memory."""
@@ -32,6 +38,12 @@ def lie_on_markers(quads_px: Array, centers_px: Array, reaches_px: Array) -> Boo
     for center_px, reach_px in zip(centers_px, reaches_px, strict=True):
         on |= (np.linalg.norm(middles_px - center_px, axis=1) < reach_px) | contain(quads_px, center_px)
     return on
+
+
+def on_detections(quads_px: Array, detections: Detections, dictionary: str) -> BoolArray:
+    """Return which quadrilaterals (N, 4, 2) are part of a detected marker's card, or surround one."""
+    reaches_px = REACH * card_side(dictionary) * detections.sides_px
+    return lie_on_markers(quads_px, detections.centers_px, reaches_px)
 
 
 def first_of_each_place(quads_px: Array) -> IntArray:

@@ -36,7 +36,7 @@ from skyherd.markers.dictionary import (
     load_dictionary,
     sides_of_corners,
 )
-from skyherd.vision.diagnosis.quad_reading import WHITE_PERCENTILE
+from skyherd.vision.diagnosis.reading import WHITE_PERCENTILE
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.candidates import overlaps
 from skyherd.vision.search.decode import MIN_CELL_DEVIATION, read_cells

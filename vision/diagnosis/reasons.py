@@ -4,13 +4,14 @@ The stages are those of `skyherd.vision.photometric.detector`: the search for an
 cells, the fit, and the tests that verify it (`skyherd.vision.photometric.verify`).
 """
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.vision.diagnosis.quad_reading import Reading
+from skyherd.vision.diagnosis.reading import Reading
 from skyherd.vision.photometric.verify import FitTest, Quantity
 from skyherd.vision.search.quads import MIN_QUAD_SIDE_PX
 from skyherd.vision.search.regions import DARKER
@@ -28,22 +29,27 @@ QUIET_SHARE = 0.4
 """A quiet zone must lie at least this share of the way from black to white on every side. Chosen: a little
 less than half, since blur darkens a narrow zone."""
 
-BORDER_PX = 1.5
-"""A marker with a corner nearer to the image's border than this, px, is cut. Chosen: contours are found to
-about a pixel."""
-
 MARKER_LIKE = 0.6
 """Likeness of a clear frame below which its content is not taken as bits. Chosen: below a marker with several
 wrong cells, above most other drawings."""
 
-CERTAIN = 0.9
+MIN_ODDS_OF_BITS = 2.0
+"""Log odds of a marker from which on a candidate is explained, whatever else it lacks. Chosen: markers that
+photographs show badly have 2.4 to 9, and one in thirty photographs has clutter of 0 to 1."""
+
+CERTAIN = 0.94
 """Likeness of what is plainly a marker. Small or faint candidates have to reach it, since chance is like some
-marker too. Chosen between such likenesses and those of undamaged markers, 0.95 and more."""
+marker too. Measured: markers that are too small or too blurred have 0.945 or more, and what is none on
+photographs up to 0.938."""
 
 LEGIBLE_BLUR_CELLS = 0.6
 """Blur, cells, beyond which what is not found counts as too blurred, whatever else it lacks: its outline is
 rounded then, and its cells are read in the wrong places. Measured of markers of 10 to 12 px at noise 2: all
 are found up to 0.64 cells, nine in ten at 0.72, and none from 0.77 cells on."""
+
+SHARP_BLUR_PX = 1.2
+"""Blur, px, up to which an image is sharp, so that a marker that it blurs is too small. Chosen: twice that of
+usual photographs."""
 
 CLEAR_CELL_PX, CLEAR_CONTRAST, CLEAR_BLUR_CELLS = 3.0, 40.0, 0.55
 """Smallest cell, px, smallest contrast, grey levels, and largest blur, cells, of a clear frame. Chosen: what
@@ -55,10 +61,6 @@ MIN_CONTRAST = 8.0
 BIT_SHARE = 0.3
 """Share of the step from the border to the surroundings that the contrast of bits must exceed. Chosen: a
 white cell is as bright as the card apart from blur."""
-
-DARK_LEVELS = 25.0
-"""A dark quadrilateral without bits is reported if its surroundings are brighter by this, grey levels.
-Chosen: fainter ones are shadows and texture."""
 
 MIN_QUIET_CONTRAST = 1.0
 """Smallest contrast, grey levels, that the quiet zone's level is compared with, so that none divides by
@@ -148,6 +150,7 @@ class Suspect:
         fitted: whether its cells were decoded and a marker was fitted to it.
         good: whether the fit is verified.
         failed: the first test that the fit fails; None without a fit, or if it fails none.
+        log_odds: natural logarithm of the odds that it is a marker; -inf if that is hopeless.
     """
 
     reading: Reading
@@ -155,6 +158,7 @@ class Suspect:
     fitted: bool = False
     good: bool = False
     failed: tuple[Quantity, Measured] | None = None
+    log_odds: float = -math.inf
 
 
 def failed_test(tests: list[FitTest], row: int) -> tuple[Quantity, Measured] | None:
@@ -197,13 +201,16 @@ def find_reason(suspect: Suspect, *, again: bool) -> tuple[Reason, Measured | No
         return Reason.REPEATED, None
     if suspect.good:
         return Reason.OVERLOOKED, None
-    if not _has_bits(reading):
+    if not _has_bits(reading, suspect.log_odds):
         return Reason.NO_BITS, Measured("likeness", reading.likeness, CERTAIN, at_least=True)
     if exact and reading.mirrored:
         return Reason.MIRRORED, None
     if reading.side_px < MIN_SIDE_PX:
         return Reason.FEW_PIXELS, Measured("side in px", reading.side_px, MIN_SIDE_PX, at_least=True)
     if reading.blur_cells > LEGIBLE_BLUR_CELLS and reading.likeness >= CERTAIN:
+        if reading.blur_cells * float(reading.cell_px.mean()) <= SHARP_BLUR_PX:
+            legible_px = reading.side_px * reading.blur_cells / LEGIBLE_BLUR_CELLS
+            return Reason.FEW_PIXELS, Measured("side in px", reading.side_px, legible_px, at_least=True)
         return Reason.BLURRED, Measured(UNITS[Quantity.BLUR], reading.blur_cells, LEGIBLE_BLUR_CELLS)
     if not suspect.seen:
         return _unseen_reason(suspect)
@@ -239,8 +246,10 @@ def _is_cell(failed: tuple[Quantity, Measured] | None) -> bool:
     return failed is not None and failed[0] is Quantity.WORST_CELL
 
 
-def _has_bits(reading: Reading) -> bool:
-    """Return whether it is plainly a marker, or a large, sharp and clear frame with something in it."""
+def _has_bits(reading: Reading, log_odds: float) -> bool:
+    """Return whether it may be a marker by log odds or likeness, or is a clear frame with something in."""
+    if log_odds > MIN_ODDS_OF_BITS:
+        return True
     if reading.contrast <= max(MIN_CONTRAST, BIT_SHARE * reading.depth):
         return False
     return reading.likeness >= (MARKER_LIKE if is_clear(reading) else CERTAIN)
@@ -250,17 +259,6 @@ def is_clear(reading: Reading) -> bool:
     """Return whether a candidate is a large, sharp and clear frame on white."""
     clear = reading.framed and reading.cell_px[0] >= CLEAR_CELL_PX and reading.contrast >= CLEAR_CONTRAST
     return clear and reading.blur_cells <= CLEAR_BLUR_CELLS and not bool(edges_without_quiet(reading).any())
-
-
-def is_dark(reading: Reading) -> bool:
-    """Return whether a candidate is clearly darker than its surroundings, with bits in it or without."""
-    return reading.depth >= DARK_LEVELS
-
-
-def is_cut(reading: Reading, image_size_px: Array) -> bool:
-    """Return whether a candidate reaches the border of an image of size (2,), width and height."""
-    corners = reading.corners_px
-    return bool(((corners < BORDER_PX) | (corners > image_size_px - 1 - BORDER_PX)).any())
 
 
 def edges_without_quiet(reading: Reading) -> Array:

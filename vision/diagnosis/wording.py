@@ -1,7 +1,7 @@
 """What users read of each reason, and what they can do about it."""
 
 from skyherd.markers.dictionary import cells_per_side
-from skyherd.vision.diagnosis.quad_reading import Reading
+from skyherd.vision.diagnosis.reading import Reading
 from skyherd.vision.diagnosis.reasons import Measured, Reason, edges_without_quiet
 
 SHOWN_CELLS = 4

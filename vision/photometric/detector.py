@@ -15,7 +15,6 @@ Each image passes through these stages. Stages return values; the detector alone
 """
 
 from dataclasses import replace
-from functools import reduce
 
 import numpy as np
 
@@ -42,7 +41,7 @@ from skyherd.vision.photometric.refine import with_usual_blur
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.crossed import find_crossed_quads
-from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads
+from skyherd.vision.search.decode import MIN_CORRELATION
 from skyherd.vision.search.faint import find_faint_quads
 from skyherd.vision.search.quads import find_quads, find_small_quads
 
@@ -152,20 +151,6 @@ class PhotometricDetector:
         found, state = self._joined(*(one.found for one in searches)), CameraState()
         state = state.learned(found, searches[1].plane, time_s)
         return _detections(found, state.ratios.factors(), image, time_s, unit_id)
-
-    def measure(self, image: Image, candidates: DecodedQuads) -> SearchPass:
-        """Return candidates measured, each by itself, that the search need not have found.
-
-        Raises:
-            InputError: the image is not a grey one of 8 bits, or is empty.
-        """
-        image, state = check_grey(image), CameraState()
-        passes = [
-            measure_candidates(image, self.dictionary, state, candidates.corners_px[[row]], one)
-            for row in range(candidates.ids.size)
-            for one in [candidates.take(np.array([row]))]
-        ]
-        return reduce(SearchPass.joined, passes, SearchPass.empty(self.dictionary, state.plane))
 
     def _is_due(self, unsearched: int) -> bool:
         """Return whether the whole image is searched though all known markers were found.

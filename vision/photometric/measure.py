@@ -268,10 +268,16 @@ def _refit_off_plane(
     rows = np.flatnonzero(~good & worth & legible)
     if not rows.size:
         return fits, good
-    given = fits.ids[rows], start.take(rows), START_SIGMA_PX, Plane(), noises.verified
-    alone, _ = fit_any_blur(image, dictionary, *given, alone=True)
+    alone = fit_alone(image, dictionary, fits.ids[rows], start.take(rows), noises.verified)
     is_good = verified(alone, noises.image, code_distance(dictionary))
     return _replaced(fits, good, rows[is_good], alone.take(is_good))
+
+
+def fit_alone(
+    image: Image, dictionary: str, ids: IntArray, start: LocalHomographies, noise: float
+) -> FitResults:
+    """Fit markers (N,), each by itself, that begin at given places; `noise` is a pixel's, grey levels."""
+    return fit_any_blur(image, dictionary, ids, start, START_SIGMA_PX, Plane(), noise, alone=True)[0]
 
 
 def _plane_of(image: Image, dictionary: str, fits: FitResults, plane: Plane, noise: float) -> Plane:

@@ -106,9 +106,7 @@ class Annotator:
             return
         centers_px = self._shown(np.array(centers))
         reaches = (
-            self.zoom
-            * np.array([*detections.sides_px, *(r.reading.side_px for r in rejections)])
-            * LABEL_REACH_SIDES
+            self.zoom * np.array([*detections.sides_px, *(r.side_px for r in rejections)]) * LABEL_REACH_SIDES
         )
         texts = [str(marker_id) for marker_id in detections.ids.tolist()]
         texts += [f"{k + 1}: {r.reason.value}" for k, r in enumerate(rejections)]

@@ -20,7 +20,7 @@ from skyherd.files.atomic import whole_file
 from skyherd.messages import Detections
 from skyherd.messages.detections import CORNER_COLUMNS, MARKER_COLUMNS
 from skyherd.text import printable, table_cell
-from skyherd.vision import Rejection
+from skyherd.vision import Reading, Rejection
 
 Format = Literal["csv", "jsonl"]
 FORMATS: tuple[Format, ...] = get_args(Format)
@@ -32,8 +32,8 @@ WHERE = ["file", "frame", "time_s"]
 DETECTION_COLUMNS = [*WHERE, *MARKER_COLUMNS, *CORNER_COLUMNS]
 """Columns of the table of detections."""
 
-MEASURED = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_id", "wrong_cells", "log_odds"]
-"""Columns of the measurements of a rejected candidate (`Reading`)."""
+READ = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_id", "wrong_cells"]
+"""Columns of what a rejected candidate shows of a marker (`Reading`); empty of one without bits."""
 
 TESTED = ["quantity", "value", "limit"]
 """Columns of the quantity by which a candidate is rejected, and its limit; empty without one."""
@@ -45,7 +45,8 @@ REJECTION_COLUMNS = [
     "u_px",
     "v_px",
     "side_px",
-    *MEASURED,
+    *READ,
+    "log_odds",
     *CORNER_COLUMNS,
     "words",
 ]
@@ -89,25 +90,32 @@ def detection_rows(place: Place, found: Detections, metric: Sequence[Row] = ()) 
 def rejection_rows(place: Place, rejections: Sequence[Rejection]) -> Iterator[Row]:
     """Yield one row for each rejected candidate of an image, with its measurements."""
     for rejection in rejections:
-        reading = rejection.reading
         yield {
             **vars(place),
             "reason": rejection.reason.value,
             **dict(zip(TESTED, _tested(rejection), strict=True)),
             "u_px": rejection.center_px[0],
             "v_px": rejection.center_px[1],
-            "side_px": reading.side_px,
-            "cell_px": reading.cell_px[0],
-            "contrast": reading.contrast,
-            "blur_px": reading.blur_cells * reading.cell_px.mean(),
-            "tilt_deg": reading.tilt_deg,
-            "likeness": reading.likeness,
-            "nearest_id": reading.nearest_id,
-            "wrong_cells": reading.wrong_bits,
+            "side_px": rejection.side_px,
+            **dict.fromkeys(READ, None),
+            **(_read(rejection.reading) if rejection.reading else {}),
             "log_odds": rejection.log_odds if np.isfinite(rejection.log_odds) else None,
             "corners_px": rejection.corners_px,
             "words": rejection.words,
         }
+
+
+def _read(reading: Reading) -> Row:
+    """Return the columns `READ` of what a candidate shows of a marker."""
+    return {
+        "cell_px": reading.cell_px[0],
+        "contrast": reading.contrast,
+        "blur_px": reading.blur_cells * reading.cell_px.mean(),
+        "tilt_deg": reading.tilt_deg,
+        "likeness": reading.likeness,
+        "nearest_id": reading.nearest_id,
+        "wrong_cells": reading.wrong_bits,
+    }
 
 
 def _tested(rejection: Rejection) -> tuple[str, float, float] | tuple[None, None, None]:

@@ -14,7 +14,7 @@ from skyherd.messages import Quality
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.diagnosis.explain import Rejection, detect_and_explain, explain
-from skyherd.vision.diagnosis.quad_reading import read_quads
+from skyherd.vision.diagnosis.reading import name_quads, read_markers
 from skyherd.vision.diagnosis.reasons import (
     LEGIBLE_BLUR_CELLS,
     OF_QUANTITY,
@@ -24,7 +24,6 @@ from skyherd.vision.diagnosis.reasons import (
     find_reason,
 )
 from skyherd.vision.diagnosis.suggestions import suggest
-from skyherd.vision.diagnosis.templates import load_templates
 from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.photometric.fitting.fit_result import FitResults
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
@@ -72,6 +71,11 @@ def explained_at(image: np.ndarray, place_px: np.ndarray) -> Rejection:
     near = [r for r in likely(image) if np.linalg.norm(r.center_px - place_px) < 10]
     assert len(near) == 1, [(r.reason, r.center_px) for r in near]
     return near[0]
+
+
+def quads_at(places_px: np.ndarray, side_px: float) -> np.ndarray:
+    """Corners of squares as `draw` lays the markers out."""
+    return corners_of_pose(places_px - 0.5, np.array([0.3, 1, 2, -2]), np.full(4, side_px))
 
 
 def check(rejections: list[Rejection], reason: Reason, ids: list[int]) -> None:
@@ -127,6 +131,20 @@ def test_too_few_pixels(draw) -> None:
     for r in rejected:
         assert r.reason is Reason.FEW_PIXELS and r.measured.limit == 8.0
         assert r.measured.value == pytest.approx(6.5, abs=1.0) and "fly lower" in r.words
+
+
+def test_markers_that_a_sharp_image_blurs_are_too_small(draw) -> None:
+    """The same blur in cells, of small markers under the usual blur and of large ones out of focus."""
+    image = draw(40, psf_px=5.0)
+    named = name_quads(image, quads_at(PLACES_PX, 40.0), DICTIONARY)
+    sizes = {}
+    for factor in (1.0, 0.2):
+        (reading, *_) = read_markers(image, named, named.decoded.corners_px, DICTIONARY)
+        small = replace(reading, corners_px=factor * reading.corners_px, cell_px=factor * reading.cell_px)
+        reason, measured = find_reason(Suspect(small, seen=True), again=False)
+        sizes[factor] = reason, measured.value / measured.limit
+    assert sizes[1.0][0] is Reason.BLURRED and sizes[0.2][0] is Reason.FEW_PIXELS
+    assert sizes[1.0][1] == pytest.approx(1 / sizes[0.2][1]), "as much smaller as it is too blurred"
 
 
 @pytest.mark.smoke
@@ -286,7 +304,8 @@ def test_each_test_of_a_fit_is_named_with_its_value_and_limit(draw, quantity) ->
     named, measured = failed_test(tests, 0)
     assert named is quantity
     corners_px = to_points(fits.homographies.images(SQUARE_CORNERS))
-    (reading,) = read_quads(image, corners_px[[1]], DICTIONARY)
+    other = name_quads(image, corners_px[[1]], DICTIONARY).take(np.array([0]))
+    (reading,) = read_markers(image, other, other.decoded.corners_px, DICTIONARY)
     suspect = Suspect(reading, seen=True, fitted=True, failed=(named, measured))
     reason, told = find_reason(suspect, again=False)
     assert reason is OF_QUANTITY[quantity] and told is measured
@@ -312,17 +331,24 @@ def test_symmetric_markers_are_never_called_mirrored(draw) -> None:
     assert {(r.reason, r.reading.nearest_id) for r in mixed} == {(Reason.MIRRORED, 3), (Reason.MIRRORED, 7)}
 
 
-def test_symmetric_markers_are_determined_from_the_cells() -> None:
-    """Against all pairs of cells: a template is mirrored if no marker in any turn has the same cells."""
-    templates = load_templates(DICTIONARY)
+def test_mirror_images_of_all_markers_are_told_from_markers() -> None:
+    """Every marker of 4X4_50 mirrored: it is called so unless a marker in any turn has the same cells."""
     cells = [marker_cells(DICTIONARY, k) for k in range(50)]
     turned = {np.rot90(cell, turn).tobytes(): k for k, cell in enumerate(cells) for turn in range(4)}
     own = {k: turned[c[:, ::-1].tobytes()] for k, c in enumerate(cells) if c[:, ::-1].tobytes() in turned}
     assert own == {8: 8, 9: 9, 17: 17, 47: 47}
-    for k in range(50):
-        for turn in range(4):
-            assert templates.row(50 * turn + k) == (k, False)
-            assert templates.row(200 + 50 * turn + k) == (own.get(k, k), k not in own)
+    image = np.full((560, 640), 220, np.uint8)
+    for k, cell in enumerate(cells):
+        v, u = 80 * (k // 8) + 20, 80 * (k % 8) + 20
+        image[v : v + 42, u : u + 42] = np.where(np.kron(cell[:, ::-1], np.ones((7, 7))), 220, 40)
+    image = cv2.GaussianBlur(image, (0, 0), 0.8)
+    found, rejected = detect_and_explain(image, DICTIONARY)
+    assert found.ids.tolist() == sorted(own)
+    assert {r.reason for r in rejected} == {Reason.MIRRORED}
+    for r in rejected:
+        column, row = ((r.center_px - 40.5) / 80).round().astype(int)
+        assert r.reading.nearest_id == 8 * row + column
+    assert len(rejected) == 46
 
 
 def test_an_id_that_is_there_twice(draw) -> None:
@@ -396,25 +422,6 @@ def test_another_dictionary_is_suggested(draw) -> None:
     assert suggest(image, DICTIONARY) == "its markers are of another dictionary; try --dictionary 5X5_100"
     assert suggest(draw(50), DICTIONARY) is None
     assert "mirrored" in (suggest(np.ascontiguousarray(draw(50)[:, ::-1]), DICTIONARY) or "")
-
-
-def test_a_drawn_marker_is_read_with_its_levels_and_blur() -> None:
-    """Blurred by a Gaussian of 0.4 cells: likeness 1 except for sampling, its levels, and that blur."""
-    cells = np.pad(np.where(marker_cells(DICTIONARY, 17), 200, 40), 2, constant_values=200).astype(np.uint8)
-    image = cv2.GaussianBlur(np.kron(cells, np.ones((20, 20), np.uint8)), (0, 0), 8.0)
-    corners = np.array([[40, 40], [160, 40], [160, 160], [40, 160]]) - 0.5
-    (reading,) = read_quads(image, corners[None], DICTIONARY)
-    assert reading.nearest_id == 17 and reading.wrong_bits <= 1 and reading.likeness > 0.999
-    assert (reading.black, reading.white) == (pytest.approx(40, abs=3), pytest.approx(200, abs=3))
-    assert reading.blur_cells == pytest.approx(0.4) and reading.cell_px.tolist() == pytest.approx([20, 20])
-
-
-def test_templates_hold_every_turn_and_the_mirror_image() -> None:
-    templates = load_templates(DICTIONARY)
-    assert templates.white.shape == (400, 6, 6)
-    np.testing.assert_array_equal(templates.white[2 * 50 + 9], np.rot90(marker_cells(DICTIONARY, 9), 2))
-    assert templates.row(4 * 50 + 11) == (11, True)
-    np.testing.assert_array_equal(templates.white[4 * 50 + 11], marker_cells(DICTIONARY, 11)[:, ::-1])
 
 
 def test_only_grey_images_are_explained() -> None:

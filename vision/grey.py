@@ -4,17 +4,11 @@ import cv2
 import numpy as np
 
 from skyherd.errors import InputError
-from skyherd.geometry import Array, ComplexArray, Image
+from skyherd.geometry import Array, Image
 from skyherd.vision.native.library import library
 from skyherd.vision.native.records import Floats
 
-__all__ = ["Image", "block_means", "check_grey", "sample_grey", "sample_squares"]
-
-MAX_ROWS = 30_000
-"""Rows of points that are sampled at once. Derived: OpenCV takes less than 32768 rows and columns."""
-
-MAX_PLACE_PX = 30_000.0
-"""Largest coordinate of a point, px, in either direction; points beyond it read the image's border."""
+__all__ = ["Image", "block_means", "check_grey", "sample_squares"]
 
 
 def check_grey(image: Image) -> Image:
@@ -41,20 +35,6 @@ def block_means(image: Image, side: int) -> Image:
         return np.zeros((0, 0), dtype=np.uint8)
     whole = image[: height * side, : width * side]
     return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
-
-
-def sample_grey(image: Image, points: ComplexArray) -> Array:
-    """Return the grey levels (N, ...) at points u + iv (N, ...), px, by bilinear interpolation.
-
-    Points outside read the nearest pixel of the border.
-    """
-    flat = points.reshape(len(points), -1)
-    u, v = (np.clip(part, -MAX_PLACE_PX, MAX_PLACE_PX).astype(np.float32) for part in (flat.real, flat.imag))
-    levels = np.empty(flat.shape, dtype=np.float64)
-    for first in range(0, len(flat), MAX_ROWS):
-        rows = slice(first, first + MAX_ROWS)
-        levels[rows] = cv2.remap(image, u[rows], v[rows], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(levels.reshape(points.shape))
 
 
 def sample_squares(image: Image, corners_px: Array, at: Array, fine: int = 1) -> Floats:

@@ -133,6 +133,8 @@ def test_rejections_have_number_position_and_remedy(here, capsys) -> None:
     image = np.full((240, 340), 140, np.uint8)
     image[100 : 100 + small.shape[0], 100 : 100 + small.shape[1]] = small
     image[180:220, 250:290] = 30  # and a dark patch that is no marker
+    noise = np.random.default_rng(1).normal(0, 4, image.shape)
+    image = np.clip(cv2.GaussianBlur(image, (0, 0), 0.6) + noise, 0, 255).astype(np.uint8)
     Image.fromarray(image).save("small.png")
     _, out, _ = call(capsys, "small.png", "--explain")
     assert "1. at (" in out and ", at least 8 (most like id" in out and "print larger" in out

@@ -60,6 +60,7 @@ def test_compiler_failure_names_the_compiler(tmp_path):
 
 def fuzz_vision(path, seed=0, images=150):
     """Search random images of 2 to 70 px, also with invalid sizes; return the number of quadrilaterals."""
+    from skyherd.vision.search.edges import edge_parameters
     from skyherd.vision.search.quads import search_parameters
 
     rng = np.random.default_rng(seed)
@@ -78,6 +79,7 @@ def fuzz_vision(path, seed=0, images=150):
         quads[rng.random(quads.shape) < 0.1] = rng.choice([0.0, 1e300, np.inf, -np.inf, np.nan, 1e9])
         fine, side = (int(value) for value in rng.integers(1, 4, 2))
         library.sampled_squares(image, quads, rng.uniform(-1, 2, fine * side), fine)
+        library.refined_corners(image, quads, int(rng.integers(1, 12)), edge_parameters())
         if min(height, width) >= 4:
             gains = rng.normal(0, 10, (2, height // 4, width // 4)).astype(np.float32)
             gains[rng.random(gains.shape) < 0.1] = rng.choice([np.nan, np.inf, -1e38])

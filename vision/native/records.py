@@ -88,6 +88,27 @@ class SearchParameters(ctypes.Structure):
     )
 
 
+class EdgeParameters(ctypes.Structure):
+    """Parameters of the refinement of corners by edges; `search.h` declares the same fields."""
+
+    _fields_ = (
+        ("end_share", ctypes.c_double),
+        ("reach_cells", ctypes.c_double),
+        ("min_reach_px", ctypes.c_double),
+        ("max_reach_px", ctypes.c_double),
+        ("tukey_sigmas", ctypes.c_double),
+        ("min_spread_px", ctypes.c_double),
+        ("median_per_sigma", ctypes.c_double),
+        ("min_inlier_weight", ctypes.c_double),
+        ("min_crossing", ctypes.c_double),
+        ("min_divisor", ctypes.c_double),
+        ("normals", ctypes.c_int32),
+        ("steps", ctypes.c_int32),
+        ("rounds", ctypes.c_int32),
+        ("reweightings", ctypes.c_int32),
+    )
+
+
 class Blocks(ctypes.Structure):
     """Pixels of markers; `MarkerBlocks` in `fit.h` has the same fields."""
 

@@ -1,4 +1,5 @@
 /* Grey levels of an image on a grid within quadrilaterals, as read for the cells of a marker. */
+#include "sampling.h"
 #include "search.h"
 
 #include <math.h>
@@ -6,8 +7,6 @@
 enum { MAX_PLACES = 1 << 15 }; /* along either axis: a grid's levels are counted in 32 bits */
 
 static const double MIN_DIVISOR = 1e-9; /* smallest magnitude of a divisor: degenerate quadrilaterals read any pixel */
-
-typedef struct { double u, v; } Place;
 
 static inline double away_from_zero(double value) { return fabs(value) < MIN_DIVISOR ? MIN_DIVISOR : value; }
 static inline Place less(Place a, Place b) { return (Place){a.u - b.u, a.v - b.v}; }
@@ -24,21 +23,6 @@ static ToImage to_quad(const double *corners) {
     const Place right = less(second, first), down = less(fourth, first);
     return (ToImage){first, {right.u + g * second.u, right.v + g * second.v},
                      {down.u + h * fourth.u, down.v + h * fourth.v}, g, h};
-}
-
-/* Return a coordinate within 0 to `last`; what is no number counts as 0. */
-static inline double within(double value, double last) { return value > 0 ? value < last ? value : last : 0.0; }
-
-/* Return the grey level at a place by bilinear interpolation; places outside read the nearest pixel of the border. */
-static inline float grey_at(const uint8_t *image, int32_t width, int32_t height, Place at) {
-    const double u = within(at.u, width - 1), v = within(at.v, height - 1);
-    const int32_t column = (int32_t)u, row = (int32_t)v;
-    const float right = (float)(u - column), down = (float)(v - row);
-    const uint8_t *above = image + (ptrdiff_t)row * width + column, *below = above + (row + 1 < height ? width : 0);
-    const int32_t next = column + 1 < width;
-    const float top = (float)above[0] + right * (float)(above[next] - above[0]);
-    const float bottom = (float)below[0] + right * (float)(below[next] - below[0]);
-    return top + down * (bottom - top);
 }
 
 /* Read quadrilaterals (count, 4, 2), px, on the grid of all pairs of places `at` (fine * side,) along the unit square.

@@ -5,7 +5,7 @@
  *   2. regions.c  horizontal runs of dark pixels, joined to regions; the outer boundary of a region
  *   3. quads.c    four corner points on a boundary, a line through each side, their intersections
  * search_boundaries() uses steps 1 and 2 alone. stretch() in stretch.c prepares an image for the search of faint markers,
- * and sample_squares() in sampling.c reads what is within quadrilaterals.
+ * sample_squares() in sampling.c reads what is within quadrilaterals, and fit_edges() in edges.c refines their corners.
  *
  * Coordinates: x is the column, y the row (downwards). Planes are row-major. No function allocates memory: the caller
  * passes one workspace, whose size search_workspace_bytes() returns. The time is proportional to the number of pixels.
@@ -36,6 +36,15 @@ typedef struct {
     int32_t smoothing_px, sharpening_px, small_window_px, large_window_px;
     int32_t first_erosions, last_erosions; /* numbers of erosions after which regions are searched */
 } SearchParameters;
+
+/* Parameters of the refinement by edges; vision/search/edges.py states the reason of each value. */
+typedef struct {
+    double end_share;                               /* share of a side without normals at either end */
+    double reach_cells, min_reach_px, max_reach_px; /* length of a normal on either side, with its limits */
+    double tukey_sigmas, min_spread_px, median_per_sigma, min_inlier_weight;
+    double min_crossing, min_divisor;
+    int32_t normals, steps, rounds, reweightings; /* steps on either side of a line */
+} EdgeParameters;
 
 typedef struct { int32_t x, y; } Point;
 
@@ -94,6 +103,8 @@ int32_t search_boundaries(const uint8_t *image, int32_t width, int32_t height, i
                           int32_t *counts, int32_t max_regions);
 int32_t sample_squares(const uint8_t *image, int32_t width, int32_t height, const double *corners, int64_t count,
                        const double *at, int32_t side, int32_t fine, float *levels);
+int32_t fit_edges(const uint8_t *image, int32_t width, int32_t height, int64_t count, int32_t cells,
+                  const EdgeParameters *given, double *corners, double *spreads, double *supports, double *rises);
 int32_t stretch(const uint8_t *image, int32_t width, int32_t height, const float *gains, const float *shifts,
                 int32_t columns, int32_t rows, int32_t block_px, float *memory, uint8_t *stretched);
 

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from skyherd.geometry import Array, Image, IntArray
 from skyherd.native.arguments import address, check, check_plane
 from skyherd.native.loading import Signature
-from skyherd.vision.native.records import ERRORS, Floats, SearchParameters
+from skyherd.vision.native.records import ERRORS, EdgeParameters, Floats, SearchParameters
 
 PIXELS_PER_QUAD = 8
 """Pixels of an image for each quadrilateral that the result has room for. Derived: the boundary of a region
@@ -145,6 +145,33 @@ class SearchFunctions:
         check(self.functions.sample_squares(*given, levels.ctypes.data), ERRORS)
         return levels
 
+    def refined_corners(
+        self, image: Image, corners_px: Array, n_cells: int, parameters: EdgeParameters
+    ) -> tuple[Array, Array, Array, Array]:
+        """Return the corners (N, 4, 2), px, of dark quadrilaterals by the edges of their sides.
+
+        Args:
+            image: grey, (height, width).
+            corners_px: (N, 4, 2) clockwise in the image.
+            n_cells: cells along a marker's side, border included.
+            parameters: of the refinement.
+
+        Returns:
+            The corners; and (N,) each the standard deviation of an edge about its line, px, the share of
+            inliers, and the median brightening along a normal, grey levels.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or an invalid parameter.
+        """
+        check_plane("image", image, None)
+        (height, width), count = image.shape, len(corners_px)
+        address("corners", corners_px, np.float64, (count, 4, 2))
+        refined, (spreads, supports, rises) = corners_px.copy(), np.zeros((3, count))
+        given = image.ctypes.data, width, height, count, n_cells, ctypes.byref(parameters)
+        results = (array.ctypes.data for array in (refined, spreads, supports, rises))
+        check(self.functions.fit_edges(*given, *results), ERRORS)
+        return refined, spreads, supports, rises
+
     def _search_arguments(
         self, image: Image, places: Image, parameters: SearchParameters
     ) -> tuple[object, ...]:
@@ -172,6 +199,15 @@ def search_signatures() -> dict[str, Signature]:
         "search_quads": (integer, *search, pointer, pointer, integer),
         "search_boundaries": (integer, *boundaries),
         "stretch": (integer, pointer, integer, integer, pointer, pointer, *(integer,) * 3, pointer, pointer),
+        "fit_edges": (
+            integer,
+            pointer,
+            *(integer,) * 2,
+            long,
+            integer,
+            ctypes.POINTER(EdgeParameters),
+            *(pointer,) * 4,
+        ),
         "sample_squares": (
             integer,
             pointer,

@@ -68,7 +68,13 @@ def no_decoded_quads() -> DecodedQuads:
     return DecodedQuads(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), np.zeros(0), np.zeros(0))
 
 
-def decode_quads(image: Image, quads_px: Array, dictionary: str, sigma_px: float) -> DecodedQuads:
+def decode_quads(
+    image: Image,
+    quads_px: Array,
+    dictionary: str,
+    sigma_px: float,
+    min_correlation: float = MIN_CORRELATION,
+) -> DecodedQuads:
     """Return the quadrilaterals that correlate with a marker, each with its best marker.
 
     Several quadrilaterals may decode as the same marker. The result has a row for each of them.
@@ -78,6 +84,7 @@ def decode_quads(image: Image, quads_px: Array, dictionary: str, sigma_px: float
         quads_px: (N, 4, 2) corners, clockwise in the image, beginning with any corner.
         dictionary: name of the marker dictionary.
         sigma_px: standard deviation of the combined blur of lens and pixel.
+        min_correlation: smallest correlation of a quadrilateral's cells with its marker.
     """
     if not len(quads_px):
         return no_decoded_quads()
@@ -93,7 +100,7 @@ def decode_quads(image: Image, quads_px: Array, dictionary: str, sigma_px: float
     order = (turn[:, None] + np.arange(4)) % 4
     turned_px = np.take_along_axis(quads_px, order[..., None], axis=1)
     decoded = DecodedQuads(marker, turned_px, found.likeness, found.print_contrasts)
-    return decoded.take((found.likeness >= MIN_CORRELATION) & (cells.std(axis=1) >= MIN_CELL_DEVIATION))
+    return decoded.take((found.likeness >= min_correlation) & (cells.std(axis=1) >= MIN_CELL_DEVIATION))
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,18 @@ Blur, light and neighbours shift the threshold, and with it the boundary of a da
 is sampled along normals of each side. The edge point of a normal is the centroid of the outward increase. A
 line is fitted to the edge points by iteratively reweighted least squares (Tukey's biweight). Outliers from
 glare, an occlusion or a neighbour over a part of a side thus have little weight. The corners are the
-intersections of the lines. The result does not depend on the marker's cells.
+intersections of the lines (`vision/native/edges.c`). The result does not depend on the marker's cells.
 """
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
-from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
-from skyherd.vision.grey import Image, sample_grey
+from skyherd.geometry import Array, IntArray
+from skyherd.vision.grey import Image
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import EdgeParameters
 from skyherd.vision.row_record import RowRecord
 
 NORMALS = 24
@@ -82,27 +85,32 @@ def fit_edges(image: Image, corners_px: Array, n_cells: int) -> EdgeFits:
         corners_px: (N, 4, 2) corners, clockwise in the image, with an error of a pixel or two.
         n_cells: cells along a marker's side, border included.
     """
-    corners = to_complex(corners_px)
-    spreads, supports, rises = np.zeros((3, len(corners)))
-    sides_px = np.abs(np.roll(corners, -1, axis=1) - corners).mean(axis=1)
-    for _ in range(ROUNDS if len(corners) else 0):
-        sides = np.roll(corners, -1, axis=1) - corners
-        lengths = np.maximum(np.abs(sides), MIN_DIVISOR)
-        outward = -1j * sides / lengths
-        reach = np.clip(REACH_CELLS * lengths.mean(axis=1) / n_cells, MIN_REACH_PX, MAX_REACH_PX)
-        along = END_SHARE + (1 - 2 * END_SHARE) * (np.arange(NORMALS) + 0.5) / NORMALS
-        feet = corners[..., None] + sides[..., None] * along
-        offsets = reach[:, None] * np.arange(-STEPS, STEPS + 1) / STEPS
-        at = feet[..., None] + outward[..., None, None] * offsets[:, None, None, :]
-        grey = sample_grey(image, at)
-        edges, weights = _edges_on_normals(grey, offsets)
-        rises = np.median(np.maximum(np.diff(grey, axis=-1), 0.0).sum(axis=-1), axis=(1, 2))
-        shift, tilt, spreads, supports = _robust_lines(along - 0.5, edges, weights)
-        points = corners + sides * 0.5 + outward * shift
-        directions = sides / lengths + outward * tilt / lengths
-        corners = _meeting(points, directions, corners)
-    variances = _variances(spreads, supports, sides_px)
-    return EdgeFits(to_points(corners), spreads, supports, variances, rises)
+    corners_px = np.ascontiguousarray(corners_px, dtype=float)
+    sides_px = np.linalg.norm(np.roll(corners_px, -1, axis=1) - corners_px, axis=2).mean(axis=1)
+    refined = library().refined_corners(np.ascontiguousarray(image), corners_px, n_cells, edge_parameters())
+    corners_px, spreads_px, supports, rises = refined
+    return EdgeFits(corners_px, spreads_px, supports, _variances(spreads_px, supports, sides_px), rises)
+
+
+@cache
+def edge_parameters() -> EdgeParameters:
+    """Return the parameters of the compiled refinement."""
+    return EdgeParameters(
+        end_share=END_SHARE,
+        reach_cells=REACH_CELLS,
+        min_reach_px=MIN_REACH_PX,
+        max_reach_px=MAX_REACH_PX,
+        tukey_sigmas=TUKEY_SIGMAS,
+        min_spread_px=MIN_SPREAD_PX,
+        median_per_sigma=MEDIAN_PER_SIGMA,
+        min_inlier_weight=MIN_INLIER_WEIGHT,
+        min_crossing=MIN_CROSSING,
+        min_divisor=MIN_DIVISOR,
+        normals=NORMALS,
+        steps=STEPS,
+        rounds=ROUNDS,
+        reweightings=REWEIGHTINGS,
+    )
 
 
 def _variances(spreads_px: Array, supports: Array, sides_px: Array) -> Array:
@@ -115,40 +123,3 @@ def _variances(spreads_px: Array, supports: Array, sides_px: Array) -> Array:
     length = (1 - 2 * END_SHARE) * np.maximum(sides_px, 1.0)
     turn = 3 * shift / length**2
     return np.column_stack([shift / 2, shift / 2, turn])
-
-
-def _edges_on_normals(grey: Array, offsets: Array) -> tuple[Array, Array]:
-    """Return centroids (N, 4, M) of the brightness increase, px outward, and weights (N, 4, M)."""
-    steps = np.maximum(np.diff(grey, axis=-1), 0.0) ** 2
-    middles = (offsets[:, 1:] + offsets[:, :-1]) / 2
-    total = steps.sum(axis=-1)
-    centroid = (steps * middles[:, None, None, :]).sum(axis=-1) / np.maximum(total, MIN_DIVISOR)
-    return centroid, np.sqrt(total)
-
-
-def _robust_lines(along: Array, edges: Array, weights: Array) -> tuple[Array, Array, Array, Array]:
-    """Return shift and tilt (N, 4), px, of lines through edges (N, 4, M); spread and support (N,)."""
-    base = weights / np.maximum(np.median(weights, axis=-1, keepdims=True), MIN_DIVISOR)
-    base = np.minimum(base, 1.0)
-    current, spread = base, np.zeros(edges.shape[:1])
-    for _ in range(REWEIGHTINGS):
-        total = np.maximum(current.sum(axis=-1), MIN_DIVISOR)
-        mean_x = (current * along).sum(axis=-1) / total
-        mean_y = (current * edges).sum(axis=-1) / total
-        x, y = along - mean_x[..., None], edges - mean_y[..., None]
-        slope = (current * x * y).sum(axis=-1) / np.maximum((current * x * x).sum(axis=-1), MIN_DIVISOR)
-        left = y - slope[..., None] * x
-        spread = np.maximum(np.median(np.abs(left), axis=(1, 2)) / MEDIAN_PER_SIGMA, MIN_SPREAD_PX)
-        away = left / (TUKEY_SIGMAS * spread[:, None, None])
-        inlier = np.where(np.abs(away) < 1, (1 - away**2) ** 2, 0.0)
-        current = base * inlier
-    return mean_y - slope * mean_x, slope, spread, (inlier > MIN_INLIER_WEIGHT).mean(axis=(1, 2))
-
-
-def _meeting(points: ComplexArray, directions: ComplexArray, otherwise: ComplexArray) -> ComplexArray:
-    """Return the intersections (N, 4) of adjacent sides, or `otherwise` for parallel sides."""
-    before, its = np.roll(points, 1, axis=1), np.roll(directions, 1, axis=1)
-    crossing = (its.conj() * directions).imag
-    meets = np.abs(crossing) > MIN_CROSSING
-    ahead = ((points - before).conj() * directions).imag / np.where(meets, crossing, 1.0)
-    return np.asarray(np.where(meets, before + its * ahead, otherwise))

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from skyherd.geometry import to_complex, to_points
+from skyherd.markers.dictionary import corners_of_pose
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.photometric.candidates import find_candidates, within_better
+from skyherd.vision.photometric.detector import CLEAR_CORRELATION
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.measure import measure_candidates
@@ -51,6 +54,28 @@ def test_what_is_much_paler_than_a_units_markers_is_not_fitted(markers) -> None:
     pale = markers(faded=0.2)
     assert candidates(pale, USUAL_PRINT) == [7]
     assert candidates(pale, None) == candidates(pale, 0.22) == [7, 12]
+
+
+def test_quadrilaterals_that_are_off_are_compared_at_their_edges(place_markers, draw_markers) -> None:
+    """Markers of 14 px, corners up to 2 px off: few are clear as they are, nearly all at their edges.
+
+    The quadrilaterals as they are, the negative control, are those of a search that asks for less.
+    """
+    rng = np.random.default_rng(3)
+    places = np.array([30 + 40 * (k % 9) + 1j * (30 + 40 * (k // 9)) for k in range(27)])
+    headings = rng.uniform(-3, 3, 27)
+    image = draw_markers(place_markers(places, headings, 14.0), list(range(27)), (390, 140), rng, noise=1.0)
+    quads_px = corners_of_pose(to_points(places), headings, np.full(27, 14.0))
+    quads_px += rng.uniform(-2, 2, quads_px.shape)
+    none = LocalHomographies.of_corners(quads_px[:0])
+    clear, plain = (
+        find_candidates(image, DICTIONARY, CameraState(), quads_px, none, least)
+        for least in (CLEAR_CORRELATION, MIN_CORRELATION)
+    )
+    assert np.count_nonzero(plain.correlations >= CLEAR_CORRELATION) < 14
+    assert clear.ids.size >= 25 and clear.correlations.min() >= CLEAR_CORRELATION
+    errors_px = np.abs(to_complex(clear.corners_px).mean(axis=1) - places[clear.ids])
+    assert np.median(errors_px) < 0.2, "of a quadrilateral that is off, half a pixel"
 
 
 def test_image_without_known_markers_is_searched_for_pale_ones(markers) -> None:

@@ -3,8 +3,12 @@
 import cv2
 import numpy as np
 import pytest
+from edge_reference import reference_edges
+from native_builds import builds
 
-from skyherd.vision.search.edges import fit_edges
+from skyherd.errors import InputError
+from skyherd.vision.native.library import declared, library
+from skyherd.vision.search.edges import edge_parameters, fit_edges
 from skyherd.vision.search.faint import (
     COARSE_SPREAD,
     FINE_SPREAD,
@@ -57,6 +61,62 @@ def test_order_of_corners_is_kept_from_any_first_corner() -> None:
 
 def test_no_quadrilateral_gives_no_corners() -> None:
     assert fit_edges(noisy(drawn(QUAD), 3), np.zeros((0, 4, 2)), 6).corners_px.shape == (0, 4, 2)
+
+
+def scattered_squares(seed: int, count: int = 60) -> tuple[np.ndarray, np.ndarray]:
+    """An image of squares, parts of them covered, with noise, and corners up to 1.5 px off."""
+    rng = np.random.default_rng(seed)
+    levels, quads = np.full((480, 640), 190.0), []
+    for k in range(count):
+        size, turn = rng.uniform(8, 50), rng.uniform(0, 2 * np.pi)
+        middle = np.array([64.0 * (k % 10) + 32, 80 * (k // 10) + 40])
+        arms = size / np.sqrt(2) * np.exp(1j * (turn + np.pi / 2 * np.arange(4)))
+        quads.append(middle + np.column_stack([arms.real, arms.imag]) * rng.uniform(0.6, 1.0, 2))
+        cv2.fillConvexPoly(levels, np.rint(quads[-1] * 256).astype(np.int32), 50.0, cv2.LINE_AA, 8)
+        if k % 3 == 0:
+            cv2.circle(levels, np.rint(quads[-1][0]).astype(int).tolist(), 4, 150.0, cv2.FILLED)
+    started = np.array(quads) + rng.uniform(-1.5, 1.5, (count, 4, 2))
+    return noisy(cv2.GaussianBlur(levels, (0, 0), 0.9), seed), started
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_compiled_edges_agree_with_numpy(seed) -> None:
+    """To single precision of the grey levels, wherever no point is at the limit of an inlier."""
+    image, quads = scattered_squares(seed)
+    corners, spreads, supports, rises = library().refined_corners(image, quads, 6, edge_parameters())
+    expected = reference_edges(image, quads, 6)
+    alike = supports == expected[2]
+    assert alike.mean() > 0.9 and 0.3 < supports.min() < 0.9 < supports.max()
+    np.testing.assert_allclose(corners[alike], expected[0][alike], atol=2e-4)
+    np.testing.assert_allclose(spreads[alike], expected[1][alike], atol=1e-4)
+    np.testing.assert_allclose(rises, expected[3], atol=1e-2)
+
+
+def test_edges_have_equal_bytes_in_all_builds() -> None:
+    image, quads = scattered_squares(5)
+    found = [
+        other.refined_corners(image, quads, 8, edge_parameters())
+        for other in builds("vision", declared).values()
+    ]
+    assert len({b"".join(part.tobytes() for part in one) for one in found}) == 1
+
+
+@pytest.mark.parametrize("name", ["normals", "steps", "rounds", "reweightings"])
+@pytest.mark.parametrize("value", [0, -1, 65])
+def test_numbers_that_edges_have_no_room_for_are_rejected(name, value) -> None:
+    parameters = type(edge_parameters()).from_buffer_copy(edge_parameters())
+    setattr(parameters, name, value)
+    with pytest.raises(InputError):
+        library().refined_corners(np.zeros((9, 9), np.uint8), QUAD[None], 6, parameters)
+
+
+def test_corners_of_other_types_and_shapes_are_rejected() -> None:
+    image = np.zeros((9, 9), np.uint8)
+    for wrong in (QUAD[None].astype(np.float32), QUAD, np.zeros((1, 8, 2))[:, ::2]):
+        with pytest.raises(InputError):
+            library().refined_corners(image, wrong, 6, edge_parameters())
+    with pytest.raises(InputError):
+        library().refined_corners(image, QUAD[None], 0, edge_parameters())
 
 
 @pytest.mark.parametrize(("contrast", "noise"), [(4.5, 0.5), (9.0, 1.0), (9.0, 2.0)])

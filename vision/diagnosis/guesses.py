@@ -106,18 +106,18 @@ def guess_markers(image: Image, dictionary: str, detections: Detections) -> Name
 
 
 def cut_markers(image: Image, dictionary: str) -> Named:
-    """Return squares at dark regions that the border cuts, each with every marker whose bits it shows.
+    """Return squares at dark regions that the border cuts, each with every marker whose cells it shows.
 
-    Frame and margin must be there as far as they are in the image.
+    The margin must be there as far as it is in the image.
     """
     squares_px = _cut_squares(image, cells_per_side(dictionary))
     if not len(squares_px):
         return Named(no_decoded_quads(), np.zeros(0, dtype=bool))
-    cells, framed = _cut_cells(image, squares_px, dictionary)
+    cells, has_margin = _cut_cells(image, squares_px, dictionary)
     codes = 1 - 2 * black_cells(dictionary)
     alike = cells.reshape(len(cells), -1).astype(np.float32) @ codes.reshape(len(codes), -1).T
     fits = alike == np.abs(cells).sum(axis=(1, 2))[:, None]
-    rows, found = np.nonzero(fits & framed[:, None])
+    rows, found = np.nonzero(fits & has_margin[:, None])
     ids, turns = np.divmod(found, 4)
     order = (turns[:, None] + np.arange(4)) % 4
     corners_px = np.take_along_axis(squares_px[rows], order[..., None], axis=1)
@@ -128,8 +128,8 @@ def cut_markers(image: Image, dictionary: str) -> Named:
 def _cut_cells(image: Image, squares_px: Array, dictionary: str) -> tuple[IntArray, BoolArray]:
     """Return the cells (N, n, n) of squares, 1 for white, -1 for black and 0 off the image.
 
-    Also returned is which squares (N,) have a dark frame and a bright margin, as far as they are in the
-    image, and enough cells in it.
+    Also returned is which squares (N,) have a bright margin, as far as it is in the image, and enough cells
+    in it.
     """
     n, frame = cells_per_side(dictionary), np.pad(is_border(dictionary), 1)
     margin = np.pad(np.zeros((n, n), dtype=bool), 1, constant_values=True)
@@ -137,9 +137,8 @@ def _cut_cells(image: Image, squares_px: Array, dictionary: str) -> tuple[IntArr
     levels = np.where(seen, Readings.read(image, squares_px, n).cells, np.nan)
     middles = (percentiles(levels[:, frame], 50) + percentiles(levels[:, margin], 50)) / 2
     cells = np.where(seen, np.where(levels > middles[:, None, None], 1, -1), 0)
-    framed = (cells[:, frame] <= 0).all(axis=1) & (cells[:, margin] >= 0).all(axis=1)
     inner, seen = cells[:, 1:-1, 1:-1], seen[:, 1:-1, 1:-1]
-    return inner, framed & (seen.mean(axis=(1, 2)) >= MIN_VISIBLE)
+    return inner, (cells[:, margin] >= 0).all(axis=1) & (seen.mean(axis=(1, 2)) >= MIN_VISIBLE)
 
 
 def _dark_outlines(image: Image) -> list[Contour]:

@@ -198,6 +198,56 @@ def test_cut_by_the_border(draw) -> None:
         assert np.abs(r.center_px[0] + cut - PLACES_PX[0, 0]) < 4
 
 
+def cut_marker(marker_id: int, columns: float, cell_px: int = 12) -> np.ndarray:
+    """A marker on a card, of which the right border of the image leaves so many columns of cells."""
+    cells = np.pad(np.where(marker_cells(DICTIONARY, marker_id), 230, 30), 1, constant_values=230)
+    card = np.kron(cells, np.ones((cell_px, cell_px)))
+    image = np.full((200, 240), 140, np.uint8)
+    image[50 : 50 + len(card), 100 : 100 + len(card)] = card
+    return np.ascontiguousarray(cv2.GaussianBlur(image, (0, 0), 0.8)[:, : int(100 + cell_px * (1 + columns))])
+
+
+@pytest.mark.parametrize(("columns", "least"), [(3.0, 12), (4.5, 13), pytest.param(4.0, 12)])
+def test_markers_of_which_half_is_left_are_named(columns, least) -> None:
+    """Every fourth marker: nearly all are cut by the border, and none is named after another."""
+    named = 0
+    for marker_id in range(0, 50, 4):
+        for r in likely(cut_marker(marker_id, columns)):
+            assert (r.reason, r.reading.nearest_id) == (Reason.CUT, marker_id)
+            named += 1
+    assert named >= least
+
+
+@pytest.mark.parametrize("marker_id", [3, 35, 41, 43, 0, 10])
+def test_outline_that_the_border_cuts_is_not_read_as_a_marker(marker_id) -> None:
+    """Of two and a half columns too few bits are left; the first four read as other markers, stretched."""
+    assert likely(cut_marker(marker_id, 2.5)) == []
+
+
+def test_candidates_unlike_markers_are_explained_by_log_odds(draw) -> None:
+    """A faint reading is explained if it is likelier a marker than not, and by its likeness otherwise."""
+    image = draw()
+    named = name_quads(image, quads_at(PLACES_PX, 40.0)[:1], DICTIONARY)
+    (reading, *_) = read_markers(image, named, named.decoded.corners_px, DICTIONARY)
+    unlike = replace(reading, likeness=0.8, framed=False)
+    reasons = [
+        find_reason(Suspect(unlike, seen=True, fitted=True, log_odds=log_odds), again=False)[0]
+        for log_odds in (-np.inf, 1.0, 3.0)
+    ]
+    assert reasons == [Reason.NO_BITS, Reason.NO_BITS, Reason.NO_OUTLINE]
+
+
+def test_guesses_are_explained_by_what_hides_them(draw) -> None:
+    """The same reading, found by the search or guessed: with cells beyond the border, without a margin."""
+    image = draw()
+    named = name_quads(image, quads_at(PLACES_PX, 40.0)[:1], DICTIONARY)
+    (reading, *_) = read_markers(image, named, named.decoded.corners_px, DICTIONARY)
+    cut, dark = replace(reading, visible=0.8), replace(reading, quiet=np.full(4, reading.black))
+    for one, reason in ((cut, Reason.CUT), (dark, Reason.NO_QUIET_ZONE)):
+        assert find_reason(Suspect(one, seen=False), again=False)[0] is reason
+        assert find_reason(Suspect(one, seen=True), again=False)[0] is Reason.NO_OUTLINE
+
+
 def test_shape_without_a_marker_border_is_not_called_a_marker(draw) -> None:
     image = draw(60)
     image[150:200, :40] = 25

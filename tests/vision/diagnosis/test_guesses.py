@@ -75,6 +75,17 @@ def test_markers_cut_by_the_border_are_guessed(ground) -> None:
         np.testing.assert_allclose(found[marker_id], (69.5, 69.5), atol=3)
 
 
+def test_cut_markers_have_a_margin() -> None:
+    """With a dark strip along one side, a third of a cell away, it is not guessed."""
+    image = np.full((160, 200), 230, np.uint8)
+    cells = np.kron(np.where(marker_cells(DICTIONARY, 3), 230, 30), np.ones((14, 14)))
+    image[40:124, 100:184] = cells
+    striped = image.copy()
+    striped[40:124, 85:95] = 30
+    cut, other = (cv2.GaussianBlur(one, (0, 0), 0.8)[:, :165].copy() for one in (image, striped))
+    assert list(guessed(cut)) == [3] and guessed(other) == {}
+
+
 def test_dark_corner_of_the_image_is_no_cut_marker() -> None:
     image = np.full((140, 140), 200, np.uint8)
     image[:60, 90:] = 30

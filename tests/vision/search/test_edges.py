@@ -92,6 +92,15 @@ def test_compiled_edges_agree_with_numpy(seed) -> None:
     np.testing.assert_allclose(rises, expected[3], atol=1e-2)
 
 
+def test_corners_between_parallel_sides_stay() -> None:
+    """Two corners lie on the line through their neighbours, so that adjacent sides meet nowhere."""
+    flat = np.array([[20.0, 30], [50, 30], [80, 30], [80, 60]])
+    corners, *_ = library().refined_corners(
+        np.full((90, 110), 100, np.uint8), flat[None], 6, edge_parameters()
+    )
+    np.testing.assert_allclose(corners[0], flat, atol=1e-9)
+
+
 def test_edges_have_equal_bytes_in_all_builds() -> None:
     image, quads = scattered_squares(5)
     found = [

@@ -8,7 +8,6 @@ would fail.
 """
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -162,7 +161,10 @@ def _likely(
     """Return the suspects that have bits, with the reason and the evidence at the poses by their edges."""
     fitted_px, failures = _fitted(image, dictionary, searches, suspects)
     readings = read_markers(image, suspects.named, fitted_px, dictionary)
-    edges = fit_edges(image, _corners_px(readings), cells_per_side(dictionary))
+    clockwise_px = np.array([one.corners_px[:: -1 if one.mirrored else 1] for one in readings]).reshape(
+        -1, 4, 2
+    )
+    edges = fit_edges(image, clockwise_px, cells_per_side(dictionary))
     odds, least = marker_odds(image, edges.corners_px, dictionary), min_log_odds(dictionary)
     there = Counter(detections.ids.tolist())
     exact = [good or _is_exact(reading) for good, reading in zip(suspects.good, readings, strict=True)]
@@ -186,16 +188,12 @@ def _plain(image: Image, dictionary: str, quads_px: Array, likely: list[Rejectio
     """Return the dark quadrilaterals (N, 4, 2) that share no place with what has bits, one of each place."""
     dark_px = quads_px[~_are_cut(image, quads_px)]
     dark_px = dark_px[depths(image, dark_px, dictionary) >= DARK_LEVELS]
-    apart = first_of_each_place(np.concatenate([_corners_px(likely), dark_px])) - len(likely)
+    likely_px = np.array([one.corners_px for one in likely]).reshape(-1, 4, 2)
+    apart = first_of_each_place(np.concatenate([likely_px, dark_px])) - len(likely)
     return [
         Rejection(Reason.NO_BITS, None, corners_px, None, WORDS[Reason.NO_BITS], -np.inf, "")
         for corners_px in dark_px[apart[apart >= 0]]
     ]
-
-
-def _corners_px(found: Sequence[Reading | Rejection]) -> Array:
-    """Return corners (N, 4, 2), px."""
-    return np.array([one.corners_px for one in found]).reshape(-1, 4, 2)
 
 
 def _suspects(
@@ -205,9 +203,9 @@ def _suspects(
     quads_px: Array,
     detections: Detections,
 ) -> "_Suspects":
-    """Return what is not detected and may be a marker.
+    """Return all places that may show a marker and are no detections.
 
-    That are the candidates of both searches, quadrilaterals (N, 4, 2) that resemble markers, tiny ones also
+    They are the candidates of both searches, quadrilaterals (N, 4, 2) that resemble markers, tiny ones also
     at their edges, and guesses.
     """
     both = searches[0].joined(searches[1])

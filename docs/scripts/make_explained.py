@@ -41,7 +41,7 @@ def make_scene() -> np.ndarray:
     image = draw_markers(image, [(7, 120, 110, 20, 64), (12, 350, 90, -60, 40), (21, 560, 130, 130, 52)])
     image = draw_markers(image, [(3, 150, 300, 70, 8.4)])
     image = draw_markers(image, [(18, 340, 290, -30, 60)], psf_px=8.0)
-    image = draw_markers(image, [(25, 560, 320, 200, 60)], black=118.0, white=146.0)
+    image = draw_markers(image, [(25, 560, 320, 200, 60)], black=118.0, white=124.0)
     image = draw_markers(image, [(33, 938, 330, 15, 76), (40, 790, 130, 250, 64), (5, 420, 500, 10, 64)])
     cv2.circle(image, (762, 108), 17, 150, -1, cv2.LINE_AA)
     image[470:560, 110:230] = 32

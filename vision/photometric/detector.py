@@ -36,7 +36,7 @@ from skyherd.vision.photometric.fitting.local_homography import LocalHomographie
 from skyherd.vision.photometric.fitting.plane import MIN_MARKERS_ON_PLANE, Plane
 from skyherd.vision.photometric.following import follow
 from skyherd.vision.photometric.image_noise import image_noise
-from skyherd.vision.photometric.measure import measure_candidates
+from skyherd.vision.photometric.measure import are_likely, measure_candidates
 from skyherd.vision.photometric.refine import with_usual_blur
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.photometric.verify import verified
@@ -187,8 +187,8 @@ class PhotometricDetector:
     ) -> tuple[SearchPass, SearchPass]:
         """Return the search of a whole image, and the fallback search where the first finds nothing.
 
-        Verified markers of the fallback must be printed like those of the first search, and do not change
-        the plane that these lie on.
+        Verified markers of the fallback must be printed like those of the first search, or be markers beyond
+        doubt. They do not change the plane that these lie on.
         """
         first = self._measured(image, state, find_quads(image), followed, MIN_CORRELATION)
         found = first.found
@@ -201,9 +201,12 @@ class PhotometricDetector:
         second = self._measured(image, replace(state, plane=first.plane), quads, known, CLEAR_CORRELATION)
         if not (first.good.any() and second.good.any()):
             return first, second
-        alike = verified(found.joined(second.found), noise, code_distance(self.dictionary))
+        alike = verified(found.joined(second.found), noise, code_distance(self.dictionary))[found.ids.size :]
+        alike |= second.found.qualities < Quality.PHOTOMETRIC
+        if not alike.all():
+            alike[~alike] = are_likely(image, self.dictionary, second.found.take(~alike))
         good = second.good.copy()
-        good[good] = alike[found.ids.size :] | (second.found.qualities < Quality.PHOTOMETRIC)
+        good[good] = alike
         return first, replace(second, good=good, plane=first.plane)
 
     def _measured(

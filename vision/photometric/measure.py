@@ -323,6 +323,13 @@ def _weighed(image: Image, dictionary: str, edges: EdgeFits, fitted_px: Array) -
     return replace(odds, log_odds=np.where(has_outline, odds.log_odds, -np.inf))
 
 
+def are_likely(image: Image, dictionary: str, fits: FitResults) -> BoolArray:
+    """Return which fits (N,) show their own marker beyond doubt, by the log odds at the edges beside them."""
+    corners_px = _corners(fits)
+    odds = _weighed(image, dictionary, fit_edges(image, corners_px, cells_per_side(dictionary)), corners_px)
+    return np.asarray((odds.log_odds >= min_log_odds(dictionary)) & (odds.ids == fits.ids))
+
+
 def _best_odds(image: Image, dictionary: str, edges_px: Array, fitted_px: Array) -> MarkerOdds:
     """Return the evidence at the pose by the edges, or by the fit if it is greater in spite of its distance.
 

@@ -78,6 +78,14 @@ def test_quadrilaterals_that_are_off_are_compared_at_their_edges(place_markers, 
     assert np.median(errors_px) < 0.2, "of a quadrilateral that is off, half a pixel"
 
 
+def test_pale_marker_beyond_doubt_is_found_beside_others(markers) -> None:
+    """An eighth of the others' contrast, by which the first search misses it; its bits leave no doubt."""
+    pale, detector = markers(faded=0.12), PhotometricDetector(DICTIONARY, following=False)
+    first, _ = detector.searches(pale)
+    assert sorted(first.found.ids.tolist()) == [3, 7]
+    assert detector.detect(pale).ids.tolist() == [3, 7, 12]
+
+
 def test_image_without_known_markers_is_searched_for_pale_ones(markers) -> None:
     """Haze, or a lamp, may have lifted all blacks since: the unit must find its markers again."""
     assert candidates(markers(faded=0.2), USUAL_PRINT, first_is_known=False) == [3, 7, 12]

@@ -327,7 +327,8 @@ def are_likely(image: Image, dictionary: str, fits: FitResults) -> BoolArray:
     """Return which fits (N,) show their own marker beyond doubt, by the log odds at the edges beside them."""
     corners_px = _corners(fits)
     odds = _weighed(image, dictionary, fit_edges(image, corners_px, cells_per_side(dictionary)), corners_px)
-    return np.asarray((odds.log_odds >= min_log_odds(dictionary)) & (odds.ids == fits.ids))
+    is_own = (odds.ids == fits.ids) & (odds.turns == 0)
+    return np.asarray(is_own & (odds.log_odds >= min_log_odds(dictionary)))
 
 
 def _best_odds(image: Image, dictionary: str, edges_px: Array, fitted_px: Array) -> MarkerOdds:

@@ -1,5 +1,7 @@
 """Choice of the candidates that are fitted, once other images have told how the markers are printed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from skyherd.vision.photometric.candidates import find_candidates, within_better
 from skyherd.vision.photometric.detector import CLEAR_CORRELATION
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
-from skyherd.vision.photometric.measure import measure_candidates
+from skyherd.vision.photometric.measure import are_likely, measure_candidates
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.search.decode import MIN_CORRELATION
 from skyherd.vision.search.quads import find_quads
@@ -84,6 +86,22 @@ def test_pale_marker_beyond_doubt_is_found_beside_others(markers) -> None:
     first, _ = detector.searches(pale)
     assert sorted(first.found.ids.tolist()) == [3, 7]
     assert detector.detect(pale).ids.tolist() == [3, 7, 12]
+
+
+def test_only_the_marker_that_a_fit_names_is_beyond_doubt(markers) -> None:
+    """Not another id, nor the same in another turn, nor a place without a marker."""
+    image = markers()
+    first, _ = PhotometricDetector(DICTIONARY, following=False).searches(image)
+    fits, shapes = first.found, first.found.homographies
+    assert are_likely(image, DICTIONARY, fits).tolist() == [True] * 3
+    turned = replace(shapes, similarities=1j * shapes.similarities, anisotropies=-1j * shapes.anisotropies)
+    away = replace(shapes, centers=shapes.centers + 65)
+    for wrong in (
+        replace(fits, ids=fits.ids + 1),
+        replace(fits, homographies=turned),
+        replace(fits, homographies=away),
+    ):
+        assert not are_likely(image, DICTIONARY, wrong).any()
 
 
 def test_image_without_known_markers_is_searched_for_pale_ones(markers) -> None:

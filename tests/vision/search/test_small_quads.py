@@ -138,3 +138,21 @@ def test_missing_marker_triggers_both_search_passes(monkeypatch):
     image, middles = sheet()
     found = counted.follow([*[image] * 13, without(image, middles[7])])
     assert found[-1] == set(range(25)) - {7} and counted.images == [0, 10, 13]
+
+
+@pytest.mark.parametrize("gap_px", [2, 3, 4])
+@pytest.mark.parametrize("width_px", [10, 12])
+def test_narrow_square_between_known_ones_is_found(width_px, gap_px) -> None:
+    """As of a marker seen at a slant, 28 px high; the known squares themselves are not found again."""
+    left = 90 + gap_px
+    right = left + width_px + gap_px
+    image = np.full((140, 220), 200, np.uint8)
+    image[40:90, 40:90] = image[40:90, right : right + 50] = 50
+    narrow = np.array([[left, 46.0], [left + width_px, 50], [left + width_px, 78], [left, 74]]) - 0.5
+    cv2.fillConvexPoly(image, np.rint(16 * narrow).astype(np.int32), 50, cv2.LINE_AA, 4)
+    square = np.array([[0.0, 0], [50, 0], [50, 50], [0, 50]]) - 0.5
+    known = square + np.array([[[40.0, 40]], [[right, 40]]])
+    middles = find_small_quads(cv2.GaussianBlur(image, (0, 0), 0.8), known).mean(axis=1)
+    assert (np.linalg.norm(middles - narrow.mean(axis=0), axis=1) < 1.5).any()
+    for middle in known.mean(axis=1):
+        assert (np.linalg.norm(middles - middle, axis=1) > 5).all()

@@ -51,6 +51,7 @@ class Peer:
         self.store = make_typestore("peer")
         self.session, self._number = session, 0
         self.received: dict[int, tuple[float, Any]] = {}
+        self.stamps_ns: list[int] = []
         zid = str(session.zid())
         self._tokens = [session.liveliness().declare_token(f"@ros2_lv/0/{zid}/0/0/NN/%/%/peer")]
         self.topic = topic
@@ -70,13 +71,14 @@ class Peer:
         self._tokens.append(self.session.liveliness().declare_token(token))
 
     def listen(self, topic: str, kind: str) -> None:
-        """Keep each message of a topic by its stamp, ns, with the time of its arrival."""
+        """Keep each message of a topic by its stamp, ns, with the time of its arrival, and all stamps."""
 
         def take(sample: Any) -> None:
             arrived_s = time.monotonic()
             message = self.store.deserialize_cdr(bytes(sample.payload), kind)
             stamp = message.header.stamp
-            self.received[stamp.sec * 10**9 + stamp.nanosec] = arrived_s, message
+            self.stamps_ns.append(stamp.sec * 10**9 + stamp.nanosec)
+            self.received[self.stamps_ns[-1]] = arrived_s, message
 
         self._subscriber = self.session.declare_subscriber(self.key(topic, kind), take)
 

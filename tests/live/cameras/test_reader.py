@@ -170,6 +170,22 @@ class TestCamera:
         assert reader.newest(0.0).number == 7
         end(reader, script)
 
+    @pytest.mark.parametrize("kept", [1, 3])
+    def test_repeats_are_dropped_though_the_offset_of_clocks_rises(self, kept, clock) -> None:
+        """A stamp that comes 1 s later would be 0.2 ms later by the drift that is allowed for."""
+        times = [0.0, 0.1, 0.2, 0.2, 0.1, 0.2, 0.3]
+        script = Script([Picture(image(k), stream_s) for k, stream_s in enumerate(times)])
+        reader = CameraReader(script, clock=clock, pause=script.pause, kept=kept).start()
+        numbers = []
+        for stream_s in times:
+            clock.now_s += 0.1 if stream_s != 0.2 else 1.0
+            script.step()
+            if (frame := reader.newest(0.0)) is not None:
+                numbers.append(frame.number)
+        assert [number for number in numbers if number] == [1, 2, 6]
+        assert reader.dropped == 3 + (kept == 1)
+        end(reader, script)
+
     def test_stream_with_restarted_clock_is_reopened(self, clock) -> None:
         again = [Picture(image(10 + k), 5 + k / 10) for k in range(3)]
         script = Script(

@@ -258,17 +258,19 @@ class CameraReader:
         elif picture.stream_s is not None:
             captured_s, by = stamps.captured_s(picture.stream_s, arrived_s), "stream"
             settled = stamps.settled
+        # The estimated offset may rise, and with it the time of capture of a repeat.
+        repeats = picture.stream_s is not None and picture.stream_s <= self._stream_s
+        if picture.stream_s is not None and not repeats:
+            self._stream_s = picture.stream_s
         if self._kept > 1 and picture.stream_s is not None:
             settled = True
-            if picture.stream_s > self._stream_s:
-                captured_s = max(captured_s, self._newest_s + MIN_STEP_S)
-                self._stream_s = picture.stream_s
+            captured_s = max(captured_s, self._newest_s + MIN_STEP_S)
         with self._arrival:
             if not settled:
                 self.received += 1
                 self.dropped += 1
                 return True
-            if by == "stream" and captured_s <= self._newest_s:
+            if repeats or (by == "stream" and captured_s <= self._newest_s):
                 self.received += 1
                 self.dropped += 1
                 if self._old_since_s is None:

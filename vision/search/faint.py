@@ -1,9 +1,9 @@
 """Faint quadrilaterals: markers in fog, haze or deep shade, whose contrast is a few times the noise.
 
 The search takes as dark what is darker than its surroundings by `DARKER`, 10 grey levels. Of full contrast
-that is a small share, and noise and texture demand it; of a faint marker it may be all. Here the image is
-smoothed, and its differences from the mean of their surroundings are multiplied by a gain that gives all
-faint surroundings one contrast. Then it is searched in the same way.
+that is a small share, and noise and texture demand it; of a faint marker it may be all. Here the image's
+differences from the mean of their surroundings are multiplied by a gain, so that all faint surroundings have
+one contrast. Where noise would become too large, the image is smoothed before. Then it is searched likewise.
 
 The share of the contrast that `DARKER` is decides what is found. At a third, squares that touch at their
 corners stay apart; at a sixth, wide black borders are dark all over. So the image is searched under either.
@@ -12,7 +12,7 @@ corners stay apart; at a sixth, wide black borders are dark all over. So the ima
 import cv2
 import numpy as np
 
-from skyherd.geometry import Array
+from skyherd.geometry import Array, BoolArray
 from skyherd.vision.grey import Image, block_means
 from skyherd.vision.native.library import library
 from skyherd.vision.search.quads import find_quads
@@ -31,10 +31,14 @@ itself finds. Measured on 48 markers with dead columns: without the coarse limit
 
 MAX_GAIN, MAX_NOISE = 12.0, 6.0
 """Largest gain, and largest standard deviation of noise after it, grey levels. Chosen: a contrast of 5 grey
-levels, below which few markers can be read, then has what the search finds, and noise is below `DARKER`."""
+levels, below which few markers can be read, then has what the search finds, and noise is below `DARKER`.
+Where the fine gain keeps noise within it, the image is not smoothed. Measured with 9 instead, on the boards
+above: more markers are found at a tilt of 65 degrees, and as many fewer of 14 px at the lowest contrast."""
 
-SMOOTHING_PX = 3
-"""Width of the box filter that smooths the image, px. Chosen: the smallest."""
+SMOOTHING_PX, SMOOTHED_NOISE = 3, 6 / 16
+"""Width of the filter that smooths the image, px, and the share of the noise's standard deviation that it
+leaves. Chosen: the smallest binomial filter. A box of 3 px removes more noise, and cells of 1.6 px with it.
+Derived: the weights (1, 2, 1) / 4 along either axis."""
 
 BLOCK_PX, SURROUNDINGS = 4, 15
 """Side of the blocks that have a gain each, px, and of the surroundings that determine it, in blocks. Chosen:
@@ -63,22 +67,31 @@ def find_faint_quads(image: Image, known_px: Array, noise: float) -> Array:
 
 
 def stretched_contrasts(image: Image, noise: float) -> tuple[Image, Image]:
-    """Return the smoothed image, stretched about `MIDDLE` to the fine and to the coarse spread.
+    """Return the image stretched about `MIDDLE` to the fine and to the coarse spread, smoothed against noise.
 
     Args:
         image: grey, (height, width), at least one block high and wide.
         noise: standard deviation of a pixel, grey levels, above 0.
     """
-    smooth = np.asarray(cv2.blur(image, (SMOOTHING_PX, SMOOTHING_PX)), dtype=np.uint8)
-    blocks, box = block_means(smooth, BLOCK_PX).astype(np.float32), (SURROUNDINGS, SURROUNDINGS)
+    blocks, box = block_means(image, BLOCK_PX).astype(np.float32), (SURROUNDINGS, SURROUNDINGS)
     means: Array = np.asarray(cv2.blur(blocks, box), dtype=float)
-    left = (noise / SMOOTHING_PX) ** 2
-    variances = cv2.sqrBoxFilter(blocks, -1, box) - means**2 - left
-    per_level, most = 1 / np.sqrt(np.maximum(variances, MIN_VARIANCE)), min(MAX_GAIN, MAX_NOISE / left**0.5)
+    variances = cv2.sqrBoxFilter(blocks, -1, box) - means**2 - (noise / BLOCK_PX) ** 2
+    per_level = 1 / np.sqrt(np.maximum(variances, MIN_VARIANCE))
+    most = min(MAX_GAIN, MAX_NOISE / (SMOOTHED_NOISE * noise))
     fine = np.minimum(FINE_SPREAD * per_level, most)
     fine[fine < MIN_FINE_GAIN] = 0.0
     coarse = np.clip(COARSE_SPREAD * per_level, min(MIN_COARSE_GAIN, most), most)
-    return _stretched(smooth, fine, means), _stretched(smooth, coarse, means)
+    smooth = np.asarray(cv2.GaussianBlur(image, (SMOOTHING_PX, SMOOTHING_PX), 0), dtype=np.uint8)
+    return (
+        _stretched(_sharp_where(fine * noise <= MAX_NOISE, image, smooth), fine, means),
+        _stretched(smooth, coarse, means),
+    )
+
+
+def _sharp_where(is_sharp: BoolArray, image: Image, smooth: Image) -> Image:
+    """Return the image in the blocks of a mask, and the smooth one in the others."""
+    of_pixels = cv2.resize(is_sharp.astype(np.uint8), image.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.asarray(cv2.copyTo(image, of_pixels, smooth.copy()), dtype=np.uint8)
 
 
 def _stretched(image: Image, gains: Array, means: Array) -> Image:

@@ -3,16 +3,16 @@
 import numpy as np
 
 from skyherd.vision.native.pattern_records import PARTS
-from skyherd.vision.photometric import pattern_fit
-from skyherd.vision.photometric.pattern_fit import PatternFits, columns_of, densities
-from skyherd.vision.photometric.readings import MIN_CONTRAST, on_marker
+from skyherd.vision.photometric.evidence import pattern_fit
+from skyherd.vision.photometric.evidence.pattern_fit import PatternFits, columns_of, densities
+from skyherd.vision.photometric.evidence.readings import MIN_CONTRAST, on_marker
 
 SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 """Places of the products of (1, x, y) with (1, x, y) among the six different ones."""
 
 
 def fit_patterns(readings, white, ground=None, *, any_contrast=False):
-    """Return what the function of this name in `skyherd.vision.photometric.pattern_fit` does."""
+    """Return what the function of this name in `skyherd.vision.photometric.evidence.pattern_fit` does."""
     columns, on_card = columns_of(readings.n_cells), on_marker(readings.n_cells)
     y = readings.levels[:, None] / readings.scales[:, None, None]
     rounding = (pattern_fit.ROUNDING_STD / readings.scales)[:, None]

@@ -95,7 +95,7 @@ def fuzz_vision(path, seed=0, images=150):
 def fuzz_patterns(library, rng, requests=60):
     """Fit random patterns to random readings, of grids of 1 to 20 cells, some with absurd numbers."""
     from skyherd.vision.native.pattern_records import PatternRequest
-    from skyherd.vision.photometric.pattern_fit import pattern_constants
+    from skyherd.vision.photometric.evidence.pattern_fit import pattern_constants
 
     for _ in range(requests):
         n, count, each = int(rng.integers(1, 21)), int(rng.integers(0, 4)), int(rng.integers(0, 4))

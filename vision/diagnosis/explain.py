@@ -30,10 +30,10 @@ from skyherd.vision.diagnosis.wording import WORDS, describe
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.candidates import SearchPass
 from skyherd.vision.photometric.detector import PhotometricDetector
+from skyherd.vision.photometric.evidence.likelihood import marker_odds, min_log_odds
 from skyherd.vision.photometric.fitting.fit_result import no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.image_noise import image_noise
-from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
 from skyherd.vision.photometric.measure import fit_alone
 from skyherd.vision.photometric.verify import Quantity, verification_tests
 from skyherd.vision.row_record import RowRecord

@@ -28,7 +28,7 @@ from skyherd.vision.diagnosis.reading import (
     read_markers,
 )
 from skyherd.vision.grey import Image, block_means, sample_squares
-from skyherd.vision.photometric.readings import Readings, black_cells
+from skyherd.vision.photometric.evidence.readings import Readings, black_cells
 from skyherd.vision.search.decode import DecodedQuads, no_decoded_quads
 
 Contour = npt.NDArray[Any]

@@ -1,9 +1,9 @@
 """What a candidate shows, read as one marker: levels, blur, margin, wrong cells, and how alike it is.
 
 Quadrilaterals are named as the detector decodes them, as they are and mirrored. They are read and drawn as
-for their likelihood (`skyherd.vision.photometric.readings`): the blur is the one under which the marker
-resembles the readings most, and black and white are fitted to them. Likeness is the correlation of readings
-and drawn marker, 1 for a perfect one, whatever its contrast and blur.
+for their likelihood (`skyherd.vision.photometric.evidence.readings`): the blur is the one under which the
+marker resembles the readings most, and black and white are fitted to them. Likeness is the correlation of
+readings and drawn marker, 1 for a perfect one, whatever its contrast and blur.
 """
 
 from dataclasses import dataclass, replace
@@ -15,9 +15,8 @@ from skyherd.markers.dictionary import all_marker_cells, border_cells, cells_per
 from skyherd.vision.blurred_cells import MIN_DEVIATION
 from skyherd.vision.grey import Image, sample_squares
 from skyherd.vision.native.pattern_records import PARTS
-from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.photometric.pattern_fit import fit_patterns
-from skyherd.vision.photometric.readings import (
+from skyherd.vision.photometric.evidence.pattern_fit import fit_patterns
+from skyherd.vision.photometric.evidence.readings import (
     BLURS_CELLS,
     Readings,
     draw_codes,
@@ -25,6 +24,7 @@ from skyherd.vision.photometric.readings import (
     on_marker,
     part_places,
 )
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.refine import START_SIGMA_PX
 from skyherd.vision.row_record import RowRecord
 from skyherd.vision.search.decode import DecodedQuads, decode_quads

@@ -288,7 +288,7 @@ class Library(SearchFunctions):
         return informations, scores
 
     def fit_patterns(self, request: PatternRequest) -> npt.NDArray[np.void]:
-        """Return fits (N, K) of `PATTERN_FIT` of patterns to readings (`photometric.pattern_fit`).
+        """Return fits (N, K) of `PATTERN_FIT` of patterns to readings (`photometric.evidence.pattern_fit`).
 
         Raises:
             InputError: an argument has another type, shape or memory layout, or is out of range.

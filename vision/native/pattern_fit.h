@@ -1,4 +1,4 @@
-/* Fits of drawn patterns to the readings of candidates (vision/photometric/pattern_fit.py has the model). */
+/* Fits of drawn patterns to the readings of candidates (vision/photometric/evidence/pattern_fit.py has the model). */
 #ifndef SKYHERD_PATTERN_FIT_H
 #define SKYHERD_PATTERN_FIT_H
 

@@ -10,7 +10,7 @@ Each image passes through these stages. Stages return values; the detector alone
    without lines that cross outlines.
 3. *Measure* (`measure`): the pattern of each candidate is fitted to the image's own pixels (`fitting.fit`,
    `refine`) and verified by its residuals (`verify`). A candidate that no fit explains is decided by its
-   likelihood (`likelihood`) and measured by a robust fit or its edges.
+   likelihood (`evidence`) and measured by a robust fit or its edges.
 4. *Learn* (`state`): the camera's blur, noise, print, plane and tracks are where the next image begins.
 """
 

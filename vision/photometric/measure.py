@@ -2,7 +2,7 @@
 
 1. *Fit* the known pattern to the pixels: coarse first, then at full size with the blur that was found.
 2. *Verify*: a fit whose residual is noise, and every cell right, is a photometric measurement (`verify`).
-3. *Weigh* the rest: the log odds that each is a marker, by its readings at its edges (`likelihood`).
+3. *Weigh* the rest: the log odds that each is a marker, by its readings at its edges (`evidence.likelihood`).
 4. *Refit* what may be a marker: to its visible pixels, on the plane that markers show which nothing covers;
    then with a perspective of its own; and all under a streak of motion if the image has one.
 5. *Decide* about the rest by their log odds: a marker beyond doubt is reported though no fit explains its
@@ -26,13 +26,18 @@ from skyherd.markers.dictionary import border_cells, cells_per_side, code_distan
 from skyherd.messages import Quality
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.candidates import SearchPass, non_maximum_suppression, on_plane, within_better
+from skyherd.vision.photometric.evidence.likelihood import (
+    MarkerOdds,
+    log_likelihoods,
+    marker_odds,
+    min_log_odds,
+)
 from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
 from skyherd.vision.photometric.fitting.fit import USUAL_NOISE, image_middle
 from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import MIN_MARKERS_ON_PLANE, Plane
 from skyherd.vision.photometric.image_noise import image_noise
-from skyherd.vision.photometric.likelihood import MarkerOdds, log_likelihoods, marker_odds, min_log_odds
 from skyherd.vision.photometric.refine import (
     START_SIGMA_PX,
     STEPS_PER_ROUND,

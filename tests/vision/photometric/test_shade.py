@@ -6,10 +6,10 @@ import pytest
 
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.photometric import likelihood
-from skyherd.vision.photometric.likelihood import marker_odds, min_log_odds
-from skyherd.vision.photometric.readings import Readings
-from skyherd.vision.photometric.shade import without_shade
+from skyherd.vision.photometric.evidence import likelihood
+from skyherd.vision.photometric.evidence.likelihood import marker_odds, min_log_odds
+from skyherd.vision.photometric.evidence.readings import Readings
+from skyherd.vision.photometric.evidence.shade import without_shade
 
 CELL_PX, MARGIN_PX = 6, 30
 DICTIONARY = "4X4_50"

@@ -41,8 +41,8 @@ class FitResults(RowRecord):
         variance_ratios: (N, 2) of positions and headings; see `correlated_noise`.
         boxes: (N,) number of boxes that the ratios are of; 0 for a marker without.
         qualities: (N,) values of `skyherd.messages.Quality`.
-        log_odds: (N,) that it is this marker (`skyherd.vision.photometric.likelihood`); NaN where the fit
-            alone decided.
+        log_odds: (N,) that it is this marker (`photometric.evidence.likelihood`); NaN where the fit alone
+            decided.
     """
 
     ids: IntArray

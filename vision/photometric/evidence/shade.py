@@ -9,7 +9,7 @@ readings beyond it are divided by its λ.
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.vision.photometric.readings import (
+from skyherd.vision.photometric.evidence.readings import (
     Readings,
     draw_codes,
     exposed,

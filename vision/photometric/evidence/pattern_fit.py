@@ -22,7 +22,7 @@ from skyherd.markers.blur_model import gather
 from skyherd.vision.native.library import library
 from skyherd.vision.native.pattern_records import PatternConstants, PatternRequest
 from skyherd.vision.native.records import Floats
-from skyherd.vision.photometric.readings import MIN_CONTRAST, Readings, on_marker, part_places
+from skyherd.vision.photometric.evidence.readings import MIN_CONTRAST, Readings, on_marker, part_places
 
 CARD_OUTLIERS, ZONE_OUTLIERS = 0.04, 0.3
 """Prior probability that a part is an outlier, on the marker and in the zone around it. Chosen: the zone is
@@ -162,7 +162,7 @@ def fit_cards(readings: Readings, white: Array | Floats) -> PatternFits:
     The width of each candidate's card is the one with which its likeliest pattern is likeliest.
     """
     wide = fit_patterns(readings, white)
-    grounds = [_ground(readings.n_cells, width) for width in CARD_WIDTHS_CELLS]
+    grounds = narrow_grounds(readings.n_cells)
     likeliest = white[np.arange(len(white)), wide.logs.argmax(axis=1)][:, None]
     by_width = [fit_patterns(readings, likeliest, ground[None]).logs[:, 0] for ground in grounds]
     chosen = np.stack(grounds)[np.argmax(by_width, axis=0)]
@@ -175,6 +175,11 @@ def fit_cards(readings: Readings, white: Array | Floats) -> PatternFits:
         np.where(better, narrow.stds, wide.stds),
         np.where(better, narrow.outlier_shares, wide.outlier_shares),
     )
+
+
+def narrow_grounds(n_cells: int) -> list[Array]:
+    """Return the shares (parts,) of the ground beyond each width of a narrow card."""
+    return [_ground(n_cells, width) for width in CARD_WIDTHS_CELLS]
 
 
 @lru_cache(maxsize=64)

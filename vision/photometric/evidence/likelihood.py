@@ -21,12 +21,18 @@ import cv2
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.markers.blur_model import gather, normal_cdf
+from skyherd.markers.blur_model import gather
 from skyherd.markers.dictionary import border_cells, cells_per_side, dictionary_size
 from skyherd.vision.grey import Image
 from skyherd.vision.native.pattern_records import PARTS
-from skyherd.vision.photometric.pattern_fit import columns_of, densities, fit_cards, fit_patterns, whiteness
-from skyherd.vision.photometric.readings import (
+from skyherd.vision.photometric.evidence.pattern_fit import (
+    columns_of,
+    densities,
+    fit_cards,
+    fit_patterns,
+    whiteness,
+)
+from skyherd.vision.photometric.evidence.readings import (
     BLURS_CELLS,
     Readings,
     black_cells,
@@ -37,7 +43,8 @@ from skyherd.vision.photometric.readings import (
     nearest_codes,
     part_places,
 )
-from skyherd.vision.photometric.shade import without_shade
+from skyherd.vision.photometric.evidence.rectangles import log_rectangles
+from skyherd.vision.photometric.evidence.shade import without_shade
 from skyherd.vision.row_record import RowRecord
 
 SPOILT_CELLS = 0.02
@@ -49,9 +56,6 @@ RESOLVED_CELLS = 0.5
 pattern, `exp(-π² σ² / 2)`, is then 0.3. Beyond it the number of independent bits falls with the blur along
 each axis. Measured: without it, one in 700 blurred squares of 16 px with text passes for one of the 587
 markers of 36h11."""
-
-MAX_RECTANGLES, RECTANGLE_STEP = 12, 0.25
-"""Light rectangles that are fitted, and the grid of their edges in cells. Chosen: finer edges are blurred."""
 
 OTHER_GRIDS = (3, 4, 5, 6, 7, 8)
 """Bits along the side of other grids. Chosen: those of common dictionaries."""
@@ -89,9 +93,6 @@ above leave 71 and 7 %."""
 MAX_SHADOW_EDGES = 2
 """Edges of shadows across a candidate that are removed, one after the other. Chosen: the slat of a blind has
 two; a third finds a tenth more markers under a blind, and takes as long as each of the others."""
-
-MIN_UNEXPLAINED = 1e-3
-"""Smallest part of a rectangle's square that the ground does not explain; it is divided by."""
 
 
 @dataclass(frozen=True)
@@ -285,7 +286,7 @@ def _odds_of_codes(
         for number, clip in np.unique(np.column_stack([blur, clips])[hopeful], axis=0):
             few = np.flatnonzero(hopeful & (blur == number) & (clips == clip))
             these, spread = readings.take(few), BLURS_CELLS[number]
-            rectangles = _log_rectangles(these, spread, clips=bool(clip))
+            rectangles = log_rectangles(these, spread, clips=bool(clip)) + math.log(RECTANGLES_ODDS)
             grids = _log_grids(these, white[few], spread, dictionary, clips=bool(clip))
             against[few, 2] = logs[few] - tried - rectangles
             against[few, 3] = logs[few] - tried - grids
@@ -362,38 +363,6 @@ def _log_bits(
     )
     spoilt = np.logaddexp(math.log(1 - SPOILT_CELLS) + own, math.log(SPOILT_CELLS) + other)
     return np.asarray((spoilt + math.log(2) - np.logaddexp(own, other)).sum(axis=(1, 2)))
-
-
-@lru_cache(maxsize=64)
-def _stretches(n_cells: int, blur: float) -> Array:
-    """Return shares (S, side) of all stretches along an axis that a light rectangle may cover."""
-    edges = np.arange(0.5, n_cells - 0.49, RECTANGLE_STEP)
-    steps = normal_cdf((part_places(n_cells)[None] - edges[:, None]) / blur)
-    low, high = np.triu_indices(edges.size, k=2)
-    return np.asarray(steps[low] - steps[high])
-
-
-def _log_rectangles(readings: Readings, blur: tuple[float, float], *, clips: bool) -> Array:
-    """Return the log posterior (N,) of light rectangles in a dark square, by the best of them."""
-    n = readings.n_cells
-    along, down = (_stretches(n, value) for value in blur)
-    square = [cell_shares(1, n, value, clips=clips)[:, 0] for value in blur]
-    ground = 1 - square[1][:, None] * square[0]
-    side, other = len(ground), ground - ground.mean()
-    images = readings.levels.reshape(-1, side, side)
-    basis = [np.full(ground.shape, 1 / side), other / np.linalg.norm(other)]
-    for part in basis:
-        images = images - (images * part).sum(axis=(1, 2), keepdims=True) * part
-    own = np.multiply.outer((down**2).sum(axis=1), (along**2).sum(axis=1))
-    left = own - sum((down @ part @ along.T) ** 2 for part in basis)
-    gain = np.maximum(down @ images @ along.T, 0) ** 2 / np.maximum(left, MIN_UNEXPLAINED)
-    number = gain[0].size
-    best = np.argpartition(-gain.reshape(len(images), -1), MAX_RECTANGLES, axis=1)[:, :MAX_RECTANGLES]
-    rows, columns = np.divmod(best, len(along))
-    drawn = (down[rows][..., :, None] * along[columns][..., None, :]).reshape(*best.shape, -1)
-    drawn, ground = (exposed(white, clips) for white in (drawn, ground.reshape(1, -1)))
-    fits = fit_patterns(readings, drawn, ground, any_contrast=True)
-    return np.asarray(np.logaddexp.reduce(fits.logs, axis=1) + math.log(RECTANGLES_ODDS / number))
 
 
 def _log_grids(

@@ -164,7 +164,7 @@ class TestCamera:
         script.step()
         newest = reader.newest(0.0)
         script.step(2)
-        assert "pictures are older than an earlier one" in reader.trouble
+        assert "pictures are no newer than an earlier one" in reader.trouble
         assert reader.newest(0.0) is None and newest.captured_s == pytest.approx(100.4, abs=1e-3)
         script.step()
         assert reader.newest(0.0).number == 7

@@ -153,7 +153,7 @@ class CameraReader:
         if now_s - self._last_s >= LATE_S:
             return f"late: no picture for {now_s - self._last_s:.1f} s; the stream has stalled"
         if self._old_since_s is not None:
-            return "old: pictures are older than an earlier one; the stream may repeat them"
+            return "old: pictures are no newer than an earlier one; the stream may repeat them"
         if self._lag_s >= LATE_S:
             return (
                 f"late: pictures take {self._lag_s:.1f} s longer than they did; the latency of the network "
@@ -250,35 +250,45 @@ class CameraReader:
         return True
 
     def _take_live(self, picture: Picture, stamps: StreamStamps) -> bool:
-        """Stamp a picture of a camera. Drop it if it is out of order, or its time is still unknown."""
+        """Stamp a picture of a camera. Drop it if it is out of order, or its time is still unknown.
+
+        Return False after `OLD_S` with only out-of-order pictures.
+        """
         arrived_s = self._clock()
         captured_s, by, settled = arrived_s, "arrival", True
+        if picture.stream_s is not None:
+            # The estimated offset may rise, and with it the time of capture of a repeat.
+            if picture.stream_s <= self._stream_s:
+                return self._drop_old(arrived_s)
+            self._stream_s = picture.stream_s
         if picture.age_s is not None:
             captured_s, by = arrived_s - max(picture.age_s, 0.0), "stream"
         elif picture.stream_s is not None:
             captured_s, by = stamps.captured_s(picture.stream_s, arrived_s), "stream"
             settled = stamps.settled
-        # The estimated offset may rise, and with it the time of capture of a repeat.
-        repeats = picture.stream_s is not None and picture.stream_s <= self._stream_s
-        if picture.stream_s is not None and not repeats:
-            self._stream_s = picture.stream_s
         if self._kept > 1 and picture.stream_s is not None:
             settled = True
             captured_s = max(captured_s, self._newest_s + MIN_STEP_S)
+        if not settled:
+            with self._arrival:
+                self.received += 1
+                self.dropped += 1
+            return True
+        if by == "stream" and captured_s <= self._newest_s:
+            return self._drop_old(arrived_s)
         with self._arrival:
-            if not settled:
-                self.received += 1
-                self.dropped += 1
-                return True
-            if repeats or (by == "stream" and captured_s <= self._newest_s):
-                self.received += 1
-                self.dropped += 1
-                if self._old_since_s is None:
-                    self._old_since_s = arrived_s
-                return arrived_s - self._old_since_s < OLD_S
             self._old_since_s = None
         self._give(picture, captured_s, arrived_s, "stream" if by == "stream" else "arrival")
         return True
+
+    def _drop_old(self, arrived_s: float) -> bool:
+        """Drop a picture no newer than an earlier one. Return False after `OLD_S` with only such pictures."""
+        with self._arrival:
+            self.received += 1
+            self.dropped += 1
+            if self._old_since_s is None:
+                self._old_since_s = arrived_s
+            return arrived_s - self._old_since_s < OLD_S
 
     def _give(self, picture: Picture, captured_s: float, arrived_s: float, by: StampedBy) -> None:
         """Make a picture the newest."""

@@ -1,7 +1,7 @@
 """Measure false positives of detectors on drawn clutter: shapes that resemble markers and are none.
 
     python benchmarks/clutter.py --small 30000 --images 2000 --json clutter.json
-    python benchmarks/clutter.py --small 2000 --seed 7 --detectors photometric,opencv
+    python benchmarks/clutter.py --small 0 --images 600 --seed 7 --min-robust-log-odds 5.5
 
 Small images show one shape each, under perspective, blur, noise and uneven light: a dark square with light
 squares in it, a grid of random bits, text in a dark frame, a chessboard, a fence, a picture frame. Images
@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-from command import run
+from command import add_min_robust_log_odds, run
 from scipy.stats import beta
 
 from skyherd.files.atomic import write_text
@@ -239,6 +239,7 @@ def main() -> None:
     parser.add_argument("--dictionary", default="4X4_50")
     parser.add_argument("--detectors", default="photometric,opencv")
     parser.add_argument("--json", type=Path)
+    add_min_robust_log_odds(parser)
     given = parser.parse_args()
     names = given.detectors.split(",")
     detectors = {name: create_detector(name, dictionary=given.dictionary) for name in names}

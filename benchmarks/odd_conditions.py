@@ -1,7 +1,7 @@
 """Measure detectors under odd conditions: glare, salt, interlacing, shadows, curled paper and others.
 
     python benchmarks/odd_conditions.py --table odd.md --json odd.json
-    python benchmarks/odd_conditions.py --tuning --only glare,salt --dictionary 4X4_50
+    python benchmarks/odd_conditions.py --tuning --only glare --dictionary 4X4_50 --min-robust-log-odds 5.5
 
 Each condition is applied to images of twelve markers of 40 px on a plane that is tilted by up to 40 degrees;
 its strength is that of the table. `--tuning` takes other seeds and other strengths, for work on the detector:
@@ -19,7 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from command import run
+from command import add_min_robust_log_odds, run
 
 from skyherd.files.atomic import write_text
 from skyherd.geometry import Array, apply_homography, inverse
@@ -403,6 +403,7 @@ def main() -> None:
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--table", type=Path)
+    add_min_robust_log_odds(parser)
     given = parser.parse_args()
     names = given.detectors.split(",")
     detectors = {name: create_detector(name, dictionary=given.dictionary) for name in names}

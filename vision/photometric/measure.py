@@ -6,8 +6,8 @@
 4. *Refit* what may be a marker: to its visible pixels, on the plane that markers show which nothing covers;
    then with a perspective of its own; and all under a streak of motion if the image has one.
 5. *Decide* about the rest by their log odds: a marker beyond doubt is reported though no fit explains its
-   pixels. It is measured by a robust fit, or by its edges where that disagrees with them.
-   `FitResults.qualities` says which.
+   pixels. It is measured by a robust fit, or by its edges where that disagrees with them; some doubt is left
+   to those that a robust fit measures. `FitResults.qualities` says which.
 
 A verified fit is not asked for its likelihood, which would change little. Measured: of 1978 verified markers
 on photographs one has hopeless log odds. Of 30,000 shapes that are no markers (`benchmarks/clutter.py`) three
@@ -31,6 +31,7 @@ from skyherd.vision.photometric.evidence.likelihood import (
     log_likelihoods,
     marker_odds,
     min_log_odds,
+    min_robust_log_odds,
 )
 from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
 from skyherd.vision.photometric.fitting.fit import USUAL_NOISE, image_middle
@@ -199,12 +200,13 @@ def verify_and_refit(
     if plane.shared:
         fits, good = _refit_off_plane(image, dictionary, fits, good, start, worth, noises)
     fits, good, plane = with_streak(image, dictionary, fits, good, plane, worth)
-    accepted = np.flatnonzero(~good[rest] & (odds.log_odds >= min_log_odds(dictionary)))
-    if accepted.size:
-        rows, odds, edges = rest[accepted], odds.take(accepted), edges.take(accepted)
+    likely = np.flatnonzero(~good[rest] & (odds.log_odds >= min_robust_log_odds(dictionary)))
+    if likely.size:
+        rows, odds, edges = rest[likely], odds.take(likely), edges.take(likely)
         read = replace(fits.take(rows), ids=odds.ids, blacks=odds.blacks, contrasts=odds.contrasts)
         measured = _measured(image, dictionary, read, known_plane, floor, edges.turned(odds.turns))
-        fits, good = _replaced(fits, good, rows, measured)
+        accepted = (odds.log_odds >= min_log_odds(dictionary)) | (measured.qualities == Quality.ROBUST)
+        fits, good = _replaced(fits, good, rows[accepted], measured.take(accepted))
     return fits, good, plane
 
 

@@ -6,6 +6,9 @@ import pytest
 
 from skyherd.messages import Quality
 from skyherd.vision import PhotometricDetector
+from skyherd.vision.photometric import measure
+from skyherd.vision.photometric.evidence import likelihood
+from skyherd.vision.photometric.evidence.likelihood import min_log_odds, min_robust_log_odds
 
 DICTIONARY = "4X4_50"
 IDS = [3, 7, 11, 20]
@@ -41,3 +44,45 @@ def test_covariances_without_a_fit_match_the_errors(place_markers, draw_markers,
         nees += squares[seen.qualities == quality].tolist()
     assert len(nees) >= 30
     assert 0.5 < np.mean(nees) < 2
+
+
+def dazzled(image, centers, rng):
+    """Return the image with a spot of light on each marker, which saturates two or three of its cells."""
+    rows, columns = np.indices(image.shape)
+    for center in centers:
+        spot_px = np.abs(columns + 1j * rows - center - complex(*rng.uniform(-10, 10, 2)))
+        image = image + 400 * np.exp(-((spot_px / 2.8) ** 2) / 2)
+    return np.clip(np.rint(image + rng.normal(0, 2, image.shape)), 0, 255).astype(np.uint8)
+
+
+def found_under_glare(place_markers, draw_markers) -> dict[tuple[int, int], int]:
+    """Quality by image and id of all markers found in twelve images, each within a pixel of its place."""
+    found = {}
+    for seed in range(12):
+        rng = np.random.default_rng([9, seed])
+        centers = PLACES + rng.uniform(-3, 3, 4) + 1j * rng.uniform(-3, 3, 4)
+        image = draw_markers(place_markers(centers, rng.uniform(-3, 3, 4), 40.0), IDS, (190, 190), rng)
+        seen = PhotometricDetector(DICTIONARY, following=False).detect(dazzled(image, centers, rng))
+        assert set(seen.ids) <= set(IDS)
+        off_px = seen.centers_px @ [1, 1j] - centers[np.searchsorted(IDS, seen.ids)]
+        assert np.abs(off_px).max(initial=0.0) < 1
+        found |= {(seed, marker): seen.qualities[row] for row, marker in enumerate(seen.ids.tolist())}
+    return found
+
+
+def test_doubtful_markers_need_pixels_that_agree(place_markers, draw_markers, monkeypatch):
+    """Without the lower threshold for robust fits fewer are found, and without robust fits no more."""
+    found = found_under_glare(place_markers, draw_markers)
+    monkeypatch.setattr(likelihood, "MIN_ROBUST_LOG_ODDS", np.inf)
+    sure = found_under_glare(place_markers, draw_markers)
+    assert sure.keys() < found.keys() and len(found) >= len(sure) + 5
+    assert {found[one] for one in found.keys() - sure.keys()} == {Quality.ROBUST}
+    monkeypatch.undo()
+    monkeypatch.setattr(measure, "MAX_UNEXPLAINED_SHARE", -1.0)
+    assert found_under_glare(place_markers, draw_markers).keys() == sure.keys()
+
+
+@pytest.mark.parametrize("dictionary", ["4X4_50", "4X4_1000", "5X5_100", "APRILTAG_36h11"])
+def test_robust_fits_need_no_more_odds_than_others(dictionary):
+    """Also of the weakest dictionaries, whose markers cannot have the odds of the constant."""
+    assert min_robust_log_odds(dictionary) <= min_log_odds(dictionary)

@@ -67,6 +67,12 @@ MIN_LOG_ODDS, MAX_DOUBT = 9.0, 0.27
 """A candidate is accepted from the first log odds on. Where a dictionary has too few bits for that, it may
 fall short of the most that an image can show by the second. Measured: `benchmarks/clutter.py`."""
 
+MIN_ROBUST_LOG_ODDS = 7.0
+"""A candidate whose pixels agree on a pose, by a robust fit, is accepted from these log odds on: 1100 to 1.
+Two bits of 4X4_50 may be unreadable then. Chosen with other seeds than those of the tables
+(`docs/conditions.md`): under glare, shade and pen lines a tenth more markers are found than without, for one
+more false positive in 32,000 shapes. At 5.5 it is a sixth more, for five."""
+
 MAX_CONTRADICTION, MIN_LOCAL_RANGE = 0.07, 0.15
 """Largest share of cells that their neighbours may contradict, and the range among neighbours, as share of
 the marker's, from which they count. Chosen: between what blur or glare changes and a shaded half."""
@@ -151,6 +157,11 @@ def most_log_odds(dictionary: str) -> float:
 def min_log_odds(dictionary: str) -> float:
     """Return the log odds from which on a candidate is accepted as a marker of a dictionary."""
     return min(MIN_LOG_ODDS, most_log_odds(dictionary) - MAX_DOUBT)
+
+
+def min_robust_log_odds(dictionary: str) -> float:
+    """Return the log odds from which on a candidate is accepted that a robust fit measures."""
+    return min(MIN_ROBUST_LOG_ODDS, min_log_odds(dictionary))
 
 
 def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:

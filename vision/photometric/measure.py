@@ -10,9 +10,8 @@
    to those that a robust fit measures. `FitResults.qualities` says which.
 
 A verified fit is not asked for its likelihood, which would change little. Measured: of 1978 verified markers
-on photographs one has hopeless log odds. Of 30,000 shapes that are no markers (`benchmarks/clutter.py`) three
-are verified, and two accepted by their odds. All five are light squares that nearly cover the cells of marker
-17 of 4X4_50, and their log odds are as high as those of true markers 17.
+on photographs one has hopeless log odds. Of 30,000 shapes that are no markers (`benchmarks/clutter.py`) one
+is verified, a picture frame, and one accepted by its odds, random bits that blur makes marker 17 of 4X4_50.
 """
 
 from collections.abc import Callable

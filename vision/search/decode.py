@@ -13,7 +13,7 @@ import numpy as np
 
 from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.markers.dictionary import all_marker_cells, cells_per_side
-from skyherd.vision.blurred_cells import blurred_darkness, standardised
+from skyherd.vision.blurred_cells import MIN_DEVIATION, blurred_darkness, standardised
 from skyherd.vision.grey import Image, sample_squares
 from skyherd.vision.native.records import Floats
 from skyherd.vision.row_record import RowRecord
@@ -92,15 +92,40 @@ def decode_quads(
     n_cells = cells_per_side(dictionary)
     cells = read_cells(image, quads_px, n_cells)
     cells_px = np.abs(np.roll(corners, 1, axis=1) - corners).mean(axis=1) / n_cells
-    usual = _most_alike(cells, dictionary, sigma_px / cells_px)
-    blurred = _most_alike(cells, dictionary, np.full(cells_px.size, BLURRED_CELLS))
+    samples = _Samples.of(cells)
+    usual = _most_alike(samples, dictionary, sigma_px / cells_px)
+    blurred = _most_alike(samples, dictionary, np.full(cells_px.size, BLURRED_CELLS))
     is_blurred = (blurred.likeness > usual.likeness) & (blurred.likeness >= BLURRED_CORRELATION)
     found = usual.put(np.flatnonzero(is_blurred), blurred.take(is_blurred))
     marker, turn = np.divmod(found.codes, 4)
     order = (turn[:, None] + np.arange(4)) % 4
     turned_px = np.take_along_axis(quads_px, order[..., None], axis=1)
     decoded = DecodedQuads(marker, turned_px, found.likeness, found.print_contrasts)
-    return decoded.take((found.likeness >= min_correlation) & (cells.std(axis=1) >= MIN_CELL_DEVIATION))
+    return decoded.take((found.likeness >= min_correlation) & (samples.deviations >= MIN_CELL_DEVIATION))
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Cells of N quadrilaterals.
+
+    Attributes:
+        standard: (N, n²) grey levels with mean 0 and standard deviation 1.
+        means: (N,) grey levels.
+        deviations: (N,) standard deviations, grey levels.
+    """
+
+    standard: Floats
+    means: Array
+    deviations: Array
+
+    @classmethod
+    def of(cls, cells: Floats) -> "_Samples":
+        """Return the samples of cells (N, n²), grey levels."""
+        means = cells.mean(axis=1, keepdims=True)
+        centred = cells - means
+        deviations = np.sqrt(np.einsum("nk,nk->n", centred, centred) / cells.shape[1])
+        standard = centred / np.maximum(deviations, MIN_DEVIATION)[:, None]
+        return cls(standard, means[:, 0].astype(float), deviations.astype(float))
 
 
 @dataclass(frozen=True)
@@ -118,20 +143,20 @@ class _Likeness(RowRecord):
     print_contrasts: Array
 
 
-def _most_alike(cells: Floats, dictionary: str, blurs_cells: Array) -> _Likeness:
-    """Return the best codes of cells (N, n²) under blurs (N,), standard deviations in cells."""
-    mean, deviation = cells.mean(axis=1), cells.std(axis=1)
-    best, likeness = np.empty(len(cells), dtype=np.int64), np.empty(len(cells))
-    contrast, white = np.empty(len(cells)), np.empty(len(cells))
+def _most_alike(samples: _Samples, dictionary: str, blurs_cells: Array) -> _Likeness:
+    """Return the best codes of N quadrilaterals under blurs (N,), standard deviations in cells."""
+    count, n2 = samples.standard.shape
+    best, likeness = np.empty(count, dtype=np.int64), np.empty(count)
+    contrast, white = np.empty(count), np.empty(count)
     buckets = np.rint(np.log(blurs_cells) / np.log(BLUR_STEP)).astype(int)
     for bucket in np.unique(buckets):
         rows = np.flatnonzero(buckets == bucket)
         codes = _codes(dictionary, int(bucket))
-        scores = standardised(cells[rows]) @ codes.patterns.T / cells.shape[1]
+        scores = samples.standard[rows] @ codes.patterns.T
         best[rows] = scores.argmax(axis=1)
-        likeness[rows] = scores[np.arange(rows.size), best[rows]]
-        contrast[rows] = likeness[rows] * deviation[rows] / codes.deviations[best[rows]]
-        white[rows] = mean[rows] + contrast[rows] * codes.means[best[rows]]
+        likeness[rows] = scores[np.arange(rows.size), best[rows]] / n2
+        contrast[rows] = likeness[rows] * samples.deviations[rows] / codes.deviations[best[rows]]
+        white[rows] = samples.means[rows] + contrast[rows] * codes.means[best[rows]]
     return _Likeness(best, likeness, contrast / np.maximum(white, MIN_WHITE))
 
 

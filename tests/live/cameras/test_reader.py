@@ -116,6 +116,18 @@ class TestCamera:
         assert frame.stamped_by == "stream"
         end(reader, script)
 
+    def test_a_repeat_does_not_end_a_burst_of_buffered_pictures(self, clock) -> None:
+        """A repeat has no interval, as if at pace. The next buffered picture would be stamped too late."""
+        stream_s = [5.0, 5.1, 5.1, 5.2, 5.3, 5.4]
+        script = Script([Picture(image(k), one) for k, one in enumerate(stream_s)])
+        reader = reader_of(script, clock)
+        script.step(4)  # all at once
+        assert reader.newest(0.0) is None and (reader.received, reader.dropped) == (4, 4)
+        clock.now_s += 0.1
+        script.step()
+        assert reader.newest(0.0).number == 4
+        end(reader, script)
+
     def test_broken_source_reopens_after_growing_pauses(self, clock) -> None:
         gone = InputError("script", "connection refused", "a camera")
         script = Script([Picture(image(0)), ValueError("torn")], gone, gone, gone, [Picture(image(1))])

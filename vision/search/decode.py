@@ -13,7 +13,7 @@ import numpy as np
 
 from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.markers.dictionary import all_marker_cells, cells_per_side
-from skyherd.vision.blurred_cells import MIN_DEVIATION, blurred_darkness, standardised
+from skyherd.vision.blurred_cells import blurred_darkness, standardised
 from skyherd.vision.grey import Image, sample_squares
 from skyherd.vision.native.records import Floats
 from skyherd.vision.row_record import RowRecord
@@ -121,11 +121,7 @@ class _Samples:
     @classmethod
     def of(cls, cells: Floats) -> "_Samples":
         """Return the samples of cells (N, n²), grey levels."""
-        means = cells.mean(axis=1, keepdims=True)
-        centred = cells - means
-        deviations = np.sqrt(np.einsum("nk,nk->n", centred, centred) / cells.shape[1])
-        standard = centred / np.maximum(deviations, MIN_DEVIATION)[:, None]
-        return cls(standard, means[:, 0].astype(float), deviations.astype(float))
+        return cls(standardised(cells), cells.mean(axis=1), cells.std(axis=1))
 
 
 @dataclass(frozen=True)

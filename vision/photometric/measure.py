@@ -6,8 +6,8 @@
 4. *Refit* what may be a marker: to its visible pixels, on the plane that markers show which nothing covers;
    then with a perspective of its own; and all under a streak of motion if the image has one.
 5. *Decide* about the rest by their log odds: a marker beyond doubt is reported though no fit explains its
-   pixels. It is measured by a robust fit, or by its edges where that disagrees with them; some doubt is left
-   to those that a robust fit measures. `FitResults.qualities` says which.
+   pixels. It is measured by a robust fit, or by its edges where that disagrees with them. A robust fit is
+   evidence too, and with one lower log odds suffice. `FitResults.qualities` says which.
 
 A verified fit is not asked for its likelihood, which would change little. Measured: of 1978 verified markers
 on photographs one has hopeless log odds. Of 30,000 shapes that are no markers (`benchmarks/clutter.py`) one

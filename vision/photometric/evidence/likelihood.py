@@ -70,8 +70,8 @@ fall short of the most that an image can show by the second. Measured: `benchmar
 MIN_ROBUST_LOG_ODDS = 7.0
 """A candidate whose pixels agree on a pose, by a robust fit, is accepted from these log odds on: 1100 to 1.
 Two bits of 4X4_50 may be unreadable then. Chosen with other seeds than those of the tables
-(`docs/conditions.md`): under glare, shade and pen lines a tenth more markers are found than without, for one
-more false positive in 32,000 shapes. At 5.5 it is a sixth more, for five."""
+(`docs/conditions.md`): under glare, shade and pen lines a twelfth more markers are found than without, for
+one more false positive in 32,000 shapes. At 5.5 it is a seventh more, for five."""
 
 MAX_CONTRADICTION, MIN_LOCAL_RANGE = 0.07, 0.15
 """Largest share of cells that their neighbours may contradict, and the range among neighbours, as share of

@@ -49,15 +49,15 @@ static inline __attribute__((always_inline)) void small_window_means(const uint1
     }
 }
 
-/* Means of the large window, from sums over parts of five columns that fit 16 bits. The sum of 21 columns does not.
+/* Means of the large window, from sums over parts of five columns. Sums of 11 columns fit 16 bits, those of 21 do not.
  * Single precision is exact enough: sum / 441 differs from a half by 1 / 882 at least, the product's error is 3e-5. */
 static void large_window_means(const uint16_t *restrict columns, const uint16_t *restrict parts,
                                uint8_t *restrict means, int32_t width) {
     const float share = 1.0f / (LARGE_WINDOW_PX * LARGE_WINDOW_PX);
     for (int32_t x = 0; x < width; x++) {
-        const int32_t sum = parts[x] + parts[x + PART_PX] + parts[x + 2 * PART_PX] + parts[x + 3 * PART_PX] +
-                            columns[x + 4 * PART_PX];
-        means[x] = (uint8_t)(int32_t)((float)sum * share + 0.5f);
+        const uint16_t left = (uint16_t)(parts[x] + parts[x + PART_PX]);
+        const uint16_t right = (uint16_t)(parts[x + 2 * PART_PX] + parts[x + 3 * PART_PX] + columns[x + 4 * PART_PX]);
+        means[x] = (uint8_t)(int32_t)((float)((int32_t)left + right) * share + 0.5f);
     }
 }
 

@@ -28,18 +28,37 @@ static int32_t join(Region *regions, int32_t a, int32_t b) {
     return first;
 }
 
-/* Append the runs of one row, and return their number. */
-static int32_t runs_of_row(const uint8_t *row, int32_t width, int32_t y, Run *runs) {
-    int32_t count = 0, x = 0;
-    while (x < width) {
-        const uint8_t *start = memchr(row + x, DARK, (size_t)(width - x));
-        if (!start) break;
-        const int32_t from = (int32_t)(start - row);
-        const uint8_t *end = memchr(start, 0, (size_t)(width - from));
-        x = end ? (int32_t)(end - row) : width;
-        runs[count++] = (Run){from, x, y, -1};
+/* Return which of 64 pixels, 0 or 255, are dark: bit i is pixel i. */
+static uint64_t dark_bits(const uint8_t *pixels) {
+    enum { BYTES = 8 };
+    uint64_t bits = 0;
+    for (int part = 0; part < BYTES; part++, pixels += BYTES) {
+        uint64_t eight = 0; /* one load on little-endian processors */
+        for (int i = 0; i < BYTES; i++) eight |= (uint64_t)pixels[i] << (BYTES * i);
+        /* The product has the lowest bits of the eight bytes in its highest byte. */
+        bits |= (eight & 0x0101010101010101u) * 0x0102040810204080u >> 56 << (BYTES * part);
     }
-    return count;
+    return bits;
+}
+
+/* Append the runs of one row, and return their number. A run begins and ends where a pixel differs from the last one. */
+static int32_t runs_of_row(const uint8_t *row, int32_t width, int32_t y, Run *runs) {
+    enum { BITS = 64 };
+    uint8_t rest[BITS] = {0};
+    int32_t ends = 0;
+    uint64_t last = 0; /* whether the pixel before is dark */
+    for (int32_t x = 0; x < width; x += BITS) {
+        const int is_whole = width - x >= BITS;
+        if (!is_whole) memcpy(rest, row + x, (size_t)(width - x));
+        const uint64_t dark = dark_bits(is_whole ? row + x : rest);
+        for (uint64_t changes = dark ^ (dark << 1 | last); changes; changes &= changes - 1, ends++) {
+            const int32_t at = x + __builtin_ctzll(changes);
+            if (ends % 2) runs[ends / 2].to = at;
+            else runs[ends / 2] = (Run){at, width, y, -1};
+        }
+        last = dark >> (BITS - 1);
+    }
+    return (ends + 1) / 2;
 }
 
 /* Extend the region of a run, or begin a new one. Return the number of regions. */
@@ -81,35 +100,52 @@ int32_t find_regions(const Mask *mask, Workspace *work) {
     return count;
 }
 
+/* Directions are numbered anticlockwise from +x. */
+static const int32_t DX[8] = {1, 1, 0, -1, -1, -1, 0, 1}, DY[8] = {0, -1, -1, -1, 0, 1, 1, 1};
+
+/* Return which of a pixel's neighbours are dark, one bit for each direction. Pixels are 0 or 255. */
+static inline uint32_t dark_neighbours(const uint8_t *pixel, const ptrdiff_t steps[8]) {
+    uint32_t bits = 0;
+    for (int direction = 0; direction < 8; direction++) bits |= pixel[steps[direction]] & 1u << direction;
+    return bits;
+}
+
+/* Return the first direction of a neighbour's bit, at least one, from `direction` on. */
+static inline int first_from(int direction, uint32_t bits) {
+    return (direction + __builtin_ctz((bits << 8 | bits) >> direction)) & 7;
+}
+
 /* Follow the outer boundary of a region from its first pixel, anticlockwise in the image.
  *
- * Border following by Suzuki and Abe (1985), in the order of cv2.findContours with CHAIN_APPROX_NONE. Directions are
- * numbered anticlockwise from +x. A pixel is visited at most four times, which bounds the time and `max_points`.
+ * Border following by Suzuki and Abe (1985), in the order of cv2.findContours with CHAIN_APPROX_NONE. A pixel is visited
+ * at most four times. Returns 0 for a boundary of more than `max_points`.
  */
-int trace(const Mask *mask, const Region *region, Workspace *work, Boundary *boundary) {
-    static const int32_t dx[8] = {1, 1, 0, -1, -1, -1, 0, 1}, dy[8] = {0, -1, -1, -1, 0, 1, 1, 1};
+int trace(const Mask *mask, const Region *region, ptrdiff_t max_points, Workspace *work, Boundary *boundary) {
     ptrdiff_t steps[8];
-    for (int k = 0; k < 8; k++) steps[k] = dx[k] + dy[k] * mask->stride;
+    for (int k = 0; k < 8; k++) steps[k] = DX[k] + DY[k] * mask->stride;
     Point at = {region->first_x, region->top};
     const uint8_t *const first = mask_row(mask, at.y) + at.x, *pixel = first;
-    int direction = 4, tried = 0;
-    do direction = (direction + 7) & 7; /* clockwise from the left neighbour, which is not dark */
-    while (!first[steps[direction]] && ++tried < 8);
+    const uint32_t around = dark_neighbours(first, steps);
+    work->points[0] = at;
+    *boundary = (Boundary){work->points, 1};
+    if (!around) return max_points > 0;
+    /* The last step leads from the first dark pixel clockwise from the left neighbour, which is not dark. */
+    int direction = 4;
+    do direction = (direction + 7) & 7;
+    while (!(around >> direction & 1));
     const uint8_t *const last = first + steps[direction];
     int32_t count = 0;
     for (;;) {
-        if (count >= work->max_points) return TOO_MANY_RESULTS;
+        if (count >= max_points) return 0;
         work->points[count++] = at;
-        if (tried == 8) break; /* a single pixel */
-        do direction = (direction + 1) & 7;
-        while (!pixel[steps[direction]]);
+        direction = first_from((direction + 1) & 7, dark_neighbours(pixel, steps));
         const uint8_t *next = pixel + steps[direction];
         if (next == first && pixel == last) break;
-        at.x += dx[direction];
-        at.y += dy[direction];
+        at.x += DX[direction];
+        at.y += DY[direction];
         pixel = next;
         direction = (direction + 4) & 7;
     }
-    *boundary = (Boundary){work->points, count};
-    return 0;
+    boundary->count = count;
+    return 1;
 }

@@ -1,6 +1,7 @@
 /* The functions that Python calls, and the layout of the workspace. */
 #include "search.h"
 
+#include <math.h>
 #include <string.h>
 
 enum { ALIGNMENT = 64 };
@@ -104,11 +105,13 @@ static int32_t append_quads(const Mask *mask, double growth_px, const SearchPara
     const int32_t count = find_regions(mask, work);
     for (int32_t label = 0; label < count; label++) {
         const Region *region = work->regions + label;
-        const int32_t wide = region->right - region->left, high = region->bottom - region->top;
-        /* The area within a boundary is at most that of its bounding box. */
-        if (region->parent != label || !((double)wide * high > parameters->min_area_px2)) continue;
+        if (region->parent != label) continue;
+        /* The area within a boundary is at most that of its bounding box, and limits the boundary's length. */
+        const double most = (double)(region->right - region->left) * (region->bottom - region->top);
+        if (!(most > parameters->min_area_px2)) continue;
+        const double longest = sqrt(most / parameters->min_compactness), room = (double)work->max_points;
         Boundary boundary;
-        if (trace(mask, region, work, &boundary)) return TOO_MANY_RESULTS;
+        if (!trace(mask, region, (ptrdiff_t)(longest < room ? longest : room), work, &boundary)) continue;
         if (boundary.count < parameters->min_points) continue;
         const double area = enclosed_area(boundary), around = boundary.count;
         if (!(area > parameters->min_area_px2 && area > parameters->min_compactness * around * around)) continue;
@@ -166,7 +169,7 @@ int32_t search_boundaries(const uint8_t *image, int32_t width, int32_t height, i
         const int32_t wide = region->right - region->left + 1, high = region->bottom - region->top + 1;
         if (region->parent != label || wide < min_side_px || high < min_side_px) continue;
         Boundary boundary;
-        if (trace(&work.dark, region, &work, &boundary)) return TOO_MANY_RESULTS;
+        if (!trace(&work.dark, region, work.max_points, &work, &boundary)) return TOO_MANY_RESULTS;
         if (boundary.count > max_points || found >= max_regions) return TOO_MANY_RESULTS;
         memcpy(points, boundary.points, (size_t)boundary.count * sizeof *points);
         points += boundary.count;

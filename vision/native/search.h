@@ -84,7 +84,7 @@ void erode(const Mask *mask, const Mask *eroded, uint8_t *scratch);
 
 /* regions.c */
 int32_t find_regions(const Mask *mask, Workspace *work);
-int trace(const Mask *mask, const Region *region, Workspace *work, Boundary *boundary);
+int trace(const Mask *mask, const Region *region, ptrdiff_t max_points, Workspace *work, Boundary *boundary);
 
 /* quads.c */
 double enclosed_area(Boundary boundary);

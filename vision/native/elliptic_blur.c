@@ -125,17 +125,19 @@ INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerB
     }
 }
 
-/* Return the largest reach of the blur at a marker's pixels, in cells. */
-static float reach_of(const Scene *scene, const MarkerBlocks *given, int64_t k, const CentreBlur *blur) {
-    Floats largest = {0};
-    for (int64_t at = given->bounds[k] * BLOCK_PX; at < given->bounds[k + 1] * BLOCK_PX; at += LANES) {
-        const Part part = part_at(scene, given, k, at / BLOCK_PX, at % BLOCK_PX);
-        const PixelBlur own = blur_at(blur, part.x, part.y, w_square_at(scene->markers + k, &part));
-        largest = larger(largest, larger(own.sigma_x, own.sigma_y));
+/* Return the largest reach of the blur at a marker's pixels, in cells, or more. It is that of the corners around them: w²
+ * and, along either axis, the variances are convex. */
+static float reach_of(const Scene *scene, const Marker *marker, const CentreBlur *blur) {
+    float w_square = 0, xx = 0, yy = 0;
+    for (int corner = 0; corner < 4; corner++) {
+        const float x = corner & 1 ? (float)marker->limit : -(float)marker->limit;
+        const float y = corner & 2 ? (float)marker->limit : -(float)marker->limit;
+        const float w = 1.0f + (float)marker->keystone.re * x + (float)marker->keystone.im * y;
+        w_square = fmaxf(w_square, w * w);
+        xx = fmaxf(xx, blur->xx + 2.0f * x * blur->grow_x + x * x * blur->grow);
+        yy = fmaxf(yy, blur->yy + 2.0f * y * blur->grow_y + y * y * blur->grow);
     }
-    float reach = 0;
-    for (int i = 0; i < LANES; i++) reach = largest[i] > reach ? largest[i] : reach;
-    return REACH_SIGMAS * (float)scene->n * reach;
+    return REACH_SIGMAS * (float)scene->n * sqrtf(w_square * fmaxf(xx, yy));
 }
 
 /* Fill in the weighted columns as `fill_round`, and bends (blocks, 3, BLOCK_PX): T_xx, T_xy and T_yy, weighted.
@@ -146,7 +148,7 @@ int32_t fill_elliptic(const Scene *scene, const MarkerBlocks *given, const doubl
     if (!are_valid(scene, given)) return FIT_INVALID_SIZE;
     for (int64_t k = 0; k < given->count; k++) {
         const CentreBlur blur = centre_blur(scene->markers + k, blurs + 6 * k);
-        const float reach = reach_of(scene, given, k, &blur);
+        const float reach = reach_of(scene, scene->markers + k, &blur);
         if (reach <= 1) fill_marker(2, 0, scene, given, k, &blur, bends);
         else if (reach <= 2) fill_marker(4, 0, scene, given, k, &blur, bends);
         else if (reach <= 3) fill_marker(6, 0, scene, given, k, &blur, bends);

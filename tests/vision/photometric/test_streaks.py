@@ -13,6 +13,7 @@ from skyherd.geometry import wrap_angle
 from skyherd.vision.photometric import measure, refine
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.fitting import occlusion
+from skyherd.vision.photometric.fitting.streak_evidence import StreakEvidence
 
 DICTIONARY = "4X4_50"
 
@@ -70,6 +71,24 @@ def test_a_rise_of_the_residuals_ends_the_rounds(monkeypatch):
     assert len(called) == rounds + 1
     monkeypatch.setattr(measure, "with_streak", is_round)
     assert ended == score(11, 1, 1, motion_px=4.0, blur_px=0.8) != under_streak
+
+
+@pytest.mark.parametrize(("significance", "rounds"), [(0.9, 1), (1.1, refine.STREAK_ROUNDS)])
+def test_rounds_end_with_a_change_within_its_standard_deviation(monkeypatch, significance, rounds):
+    """Each round asks for a fifth more of the streak; without noise that would be worth another one."""
+
+    def evidence(image, dictionary, fits, plane, noise, streak_px2):
+        if not streak_px2:
+            return streak_evidence(image, dictionary, fits, plane, noise, streak_px2)
+        change = 0.2 * np.array([streak_px2.real, streak_px2.imag])
+        information = significance / (change @ change)
+        return StreakEvidence(information * np.eye(2)[None], information * change[None])
+
+    called, fit, streak_evidence = [], refine.fit_any_blur, refine.streak_evidence
+    monkeypatch.setattr(refine, "fit_any_blur", lambda *given, **how: called.append(1) or fit(*given, **how))
+    monkeypatch.setattr(refine, "streak_evidence", evidence)
+    score(11, 1, 1, motion_px=4.0, blur_px=0.8)
+    assert len(called) == rounds
 
 
 def test_a_streak_that_leaves_greater_residuals_is_not_taken(monkeypatch):

@@ -138,6 +138,31 @@ class TestStop:
         outcome = stop(LAB, team.watched, "test")
         assert outcome.is_complete and team.watched.latch.stop == 10**12 + 1
 
+    @pytest.mark.parametrize("lag_s", [0.0, 5.0])
+    def test_never_confirmed_by_the_number_of_an_earlier_stop(self, lag_s) -> None:
+        """The team stands since a stop two seconds ago, whose operator arms it without hearing of this one."""
+        team = ScriptedTeam(start_s=1000.0 - lag_s)
+        for robot in team.robots.values():
+            robot.latch = StopLatch(stop=998_000)
+        outcome = stop(LAB, team.watched, "test")
+        assert outcome.is_complete
+        armed_by_the_other = StopLatch(stop=998_000, cleared=998_000)
+        assert all(robot.latch.merge(armed_by_the_other).stopped for robot in team.robots.values())
+
+    def test_learns_the_numbers_once_somebody_is_heard(self) -> None:
+        """The radio is up later than an operator needs to learn the numbers of a team that it hears."""
+        team = ScriptedTeam()
+        for robot in team.robots.values():
+            robot.latch, robot.armed, robot.frozen = StopLatch(2_000_000, 2_000_000), True, True
+        command = StopCommand(LAB, team.watched, "test")
+        for step in range(60):
+            if step == 40:
+                for robot in team.robots.values():
+                    robot.frozen = False
+            team.pass_time(0.05)
+            command.advance()
+        assert command.outcome().is_complete and team.watched.latch.stop > 2_000_000
+
     def test_override_by_newer_arm_reported(self) -> None:
         team = ScriptedTeam()
         team.robots[0].frozen = True
@@ -174,6 +199,33 @@ class TestArm:
         assert 20 <= step <= 22
         assert command.outcome().failure == "a stop is newer than this command"
         assert command.outcome().done == []
+
+    @pytest.mark.parametrize(
+        ("stop_number", "clears"),
+        [
+            pytest.param(997_500, True, id="before the command"),
+            pytest.param(998_500, False, id="while it started"),
+            pytest.param(1_000_500, False, id="by a clock that is a little ahead"),
+            pytest.param(4_600_000, True, id="by a clock that is an hour ahead"),
+        ],
+    )
+    def test_does_not_clear_a_stop_that_was_given_since(self, stop_number, clears) -> None:
+        """The command was given at 998 s, and its process listens from 1000 s on."""
+        team = ScriptedTeam()
+        for robot in team.robots.values():
+            robot.latch = StopLatch(stop=stop_number)
+        outcome = arm(LAB, team.watched, given_s=998.0)
+        assert all(robot.armed == clears for robot in team.robots.values())
+        assert team.watched.latch.stopped != clears
+        assert outcome.failure == ("" if clears else "a stop is newer than this command")
+
+    def test_does_not_clear_a_stop_that_it_hears_meanwhile(self) -> None:
+        """It is from a clock that is far behind, so that its number tells nothing."""
+        team = ScriptedTeam()
+        other = watch(LAB, team.air.radio("other"), lambda: team.now_s - 500.0, "other")
+        StopCommand(LAB, other, "test")
+        assert arm(LAB, team.watched).failure == "a stop is newer than this command"
+        assert not any(robot.armed for robot in team.robots.values())
 
     def test_names_each_robot_until_it_is_armed(self) -> None:
         """The same command does not arm a robot again that was disarmed, by a restart for example."""
@@ -274,6 +326,20 @@ class TestSession:
         for number in range(20):
             session.step("a" if number == 0 else "", 0.05)
         assert lines[-1] == "armed: 0, 1, 2, 3, 4, 5"
+
+    def test_key_does_not_clear_a_stop_that_arrives_after_it(self) -> None:
+        team = ScriptedTeam()
+        session, said = session_of(team, arms=False)
+        session.step("", 0.05)
+        StopCommand(LAB, watch(LAB, team.air.radio("other"), lambda: team.now_s, "other"), "test")
+        session.step("a", 0.05)
+        for _ in range(20):
+            session.step("", 0.05)
+        assert not any(robot.armed for robot in team.robots.values()) and team.watched.latch.stopped
+        assert "NOT armed: a stop is newer than this command" in said
+        session.step("a", 0.05)
+        session.step("", 0.05)
+        assert not team.watched.latch.stopped
 
     def test_stop_of_the_page_cancels_pending_arm(self) -> None:
         team = ScriptedTeam()

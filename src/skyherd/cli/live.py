@@ -180,12 +180,17 @@ def run(
 
 @live_app.command()
 def arm(lab_file: LabFile, settings: Settings = None, insecure: Insecure = False) -> int:
-    """Arm all robots of a running lab, which units have to see. Exit code 1 if some robot is not armed."""
+    """Arm all robots of a running lab, which units have to see. Exit code 1 if some robot is not armed.
+
+    A stop that is given after the command is not cleared, also while the command is still starting.
+    """
+    from skyherd import STARTED_S
     from skyherd.live import operator
     from skyherd.live.live_clock import LiveClock
 
     with joined_team(lab_file, settings, insecure) as (lab, radio):
-        return _report("armed", operator.arm(lab, operator.watch(lab, radio, LiveClock())))
+        watched = operator.watch(lab, radio, LiveClock())
+        return _report("armed", operator.arm(lab, watched, given_s=STARTED_S))
 
 
 @live_app.command()

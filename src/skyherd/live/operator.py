@@ -1,5 +1,6 @@
 """Commands of an operator, from any process of the team: arm, stop and watch."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -18,6 +19,10 @@ LEARN_S = 1.0
 
 SETTLE_S = 3.0
 """Longest wait of arm and stop for all robots, s. Chosen: a dozen heartbeats of each."""
+
+CLOCK_ERROR_S = 1.0
+"""Largest lead of another operator's clock, s, with which its stop is still dated by its number. Chosen: as in
+labs that check their clocks; a number that is further ahead tells no time."""
 
 GONE_S = 2.0
 """Time without a heartbeat after which a process counts as gone, s. Chosen: eight heartbeats."""
@@ -52,12 +57,14 @@ class Watch:
         clock: the operator's clock.
         latch: commands known to the operator.
         signs: the last heartbeat of each process, by name.
+        stop_heard_s: time at which the last stop command of another operator was heard.
     """
 
     mailbox: Mailbox
     clock: Callable[[], float]
     latch: StopLatch = NO_COMMAND
     signs: dict[str, Sign] = field(default_factory=dict)
+    stop_heard_s: float = -math.inf
     _instances: dict[str, Instances] = field(default_factory=dict)
 
     def listen(self, timeout_s: float) -> None:
@@ -69,6 +76,8 @@ class Watch:
         """Process one message."""
         envelope = arrival.envelope
         self.latch = self.latch.merge(envelope.latch)
+        if isinstance(envelope.message, Stop):
+            self.stop_heard_s = arrival.received_s
         if isinstance(envelope.message, Heartbeat):
             self.signs[envelope.sender] = Sign(
                 envelope.message, envelope.latch, envelope.sent_s, arrival.received_s
@@ -139,7 +148,8 @@ class StopCommand:
     """Command that stops and disarms all robots, and latches the stop in every process of the team.
 
     A robot confirms the stop by a heartbeat that carries its number, or a newer one, and reports the robot
-    disarmed. Heartbeats sent before the stop do not confirm it.
+    disarmed. Heartbeats sent before the stop do not confirm it: if the team turns out to know a number that is
+    not lower, such as of an operator whose clock is ahead, the stop gets a higher one.
 
     Args:
         lab: the set-up.
@@ -154,8 +164,11 @@ class StopCommand:
 
     def advance(self) -> bool:
         """Repeat the stop if it is due. Return whether all robots have confirmed it."""
-        now_s = self._watched.clock()
-        if not self._watched.latch.stopped and now_s - self._began_s <= LEARN_S:
+        now_s, latch = self._watched.clock(), self._watched.latch
+        if not self._watched.signs:
+            self._began_s = now_s  # There was nobody to learn the numbers from.
+        is_outnumbered = not latch.stopped or latch.stop > self._number
+        if is_outnumbered and now_s - self._began_s <= LEARN_S:
             # The operator did not know the team's numbers, and its clock lags.
             self._issue()
         elif now_s - self._sent_s >= REPEAT_S:
@@ -186,14 +199,17 @@ class ArmCommand:
     Args:
         lab: the set-up.
         watched: the operator's view of the team.
+        known: the commands that were known when this one was given; all that are known now if left out. It
+            clears no other stop.
     """
 
-    def __init__(self, lab: Lab, watched: Watch) -> None:
+    def __init__(self, lab: Lab, watched: Watch, known: StopLatch | None = None) -> None:
         self._lab, self._watched = lab, watched
         self._sent_s = -float("inf")
         self._done: set[int] = set()
-        watched.latch = watched.latch.with_arm()
-        self._cleared = watched.latch.cleared
+        self._cleared = (watched.latch if known is None else known).with_arm().cleared
+        if not self.is_void:
+            watched.latch = watched.latch.with_arm()
 
     @property
     def is_void(self) -> bool:
@@ -237,13 +253,26 @@ def watch(lab: Lab, radio: Radio, clock: Callable[[], float], name: str = "opera
     return watched
 
 
-def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S) -> Outcome:
-    """Arm all robots, and return the confirmations received within `settle_s`."""
+def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S, *, given_s: float | None = None) -> Outcome:
+    """Arm all robots, and return the confirmations received within `settle_s`.
+
+    A stop that was given after the command is not cleared: one that is heard while the numbers are learned, or
+    whose number is a time of day since.
+
+    Args:
+        lab: the set-up.
+        watched: the operator's view of the team.
+        settle_s: longest wait for all robots.
+        given_s: when the command was given, on the operator's clock; now if left out.
+    """
     began_s = watched.clock()
+    given_s = began_s if given_s is None else given_s
     # An arm command clears only stops that its sender knows, so the operator learns the numbers first.
     while watched.clock() - began_s < LEARN_S and len(watched.alive()) < len(lab.ids):
         watched.listen(0.05)
-    return _insist(ArmCommand(lab, watched), watched, settle_s)
+    is_since = 1000 * given_s < watched.latch.stop <= 1000 * (watched.clock() + CLOCK_ERROR_S)
+    known = NO_COMMAND if is_since or watched.stop_heard_s >= began_s else None
+    return _insist(ArmCommand(lab, watched, known), watched, settle_s)
 
 
 def stop(lab: Lab, watched: Watch, why: str, settle_s: float = SETTLE_S) -> Outcome:

@@ -170,6 +170,7 @@ class Session:
         if page_stops or pressed == " ":
             why = "page" if page_stops else "space bar"
             self._begin("stopped", StopCommand(self._lab, watched, why), operator.SETTLE_S)
+        known = watched.latch
         watched.listen(timeout_s)
         if watched.latch.stop > self._known_stop:
             self._known_stop = watched.latch.stop
@@ -177,7 +178,7 @@ class Session:
                 self.arms = False
                 self._tell("live", "the team was stopped: press a to arm the robots")
         if pressed == "a" and not page_stops:
-            self._begin("armed", ArmCommand(self._lab, watched), operator.SETTLE_S)
+            self._begin("armed", ArmCommand(self._lab, watched, known), operator.SETTLE_S)
         elif self.arms and self._all_ready():
             self.arms = False
             self._begin("armed", ArmCommand(self._lab, watched), math.inf)

@@ -140,7 +140,7 @@ class TestStop:
 
     @pytest.mark.parametrize("lag_s", [0.0, 5.0])
     def test_never_confirmed_by_the_number_of_an_earlier_stop(self, lag_s) -> None:
-        """The team stands since a stop two seconds ago, whose operator arms it without hearing of this one."""
+        """The team stands since an earlier stop, whose operator arms it without hearing of this one."""
         team = ScriptedTeam(start_s=1000.0 - lag_s)
         for robot in team.robots.values():
             robot.latch = StopLatch(stop=998_000)

@@ -5,11 +5,13 @@ import io
 import os
 import pty
 import sys
+import termios
 import threading
 import time
 import tty
 from collections import deque
-from contextlib import closing
+from contextlib import closing, suppress
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -22,6 +24,7 @@ from skyherd.live.cockpit import PageAddress
 from skyherd.live.lab import load_lab
 from skyherd.live.mailbox import Air, Mailbox
 from skyherd.live.operator import watch
+from skyherd.live.screen import THREAD
 from skyherd.live.session import MAX_KEYS, _dashboard, _keys, _processes, _windows_key, run_session
 from skyherd.live.supervisor import Child, Supervisor
 from skyherd.live.wire import Heartbeat
@@ -215,9 +218,8 @@ class ScriptedRun:
             "webcams",
             self.folder if folder is ... else folder,
             insecure=False,
-            say=self.said.append,
             ended=ended or (lambda: time.monotonic() > limit_s),
-            **given | options,
+            **given | {"say": self.said.append} | options,
         )
 
     @property
@@ -242,6 +244,22 @@ def scripted_run(monkeypatch, tmp_path):
     for child in run.children:
         if child.process is not None:
             child.process.wait(10)
+
+
+@pytest.fixture
+def held_terminal():
+    """Yield the console of a terminal that takes no output, as after Ctrl-S."""
+    master, slave = pty.openpty()
+    termios.tcflow(slave, termios.TCOOFF)
+    file = os.fdopen(slave, "w")
+    yield Console(file=file, force_terminal=True, width=100, height=40)
+    termios.tcflow(slave, termios.TCOON)
+    os.close(master)  # Whoever still writes gets an error.
+    for thread in threading.enumerate():
+        if thread.name == THREAD:
+            thread.join(5.0)
+    with suppress(OSError):
+        file.close()
 
 
 @pytest.fixture
@@ -286,6 +304,34 @@ class TestRun:
         assert not (scripted_run.folder / "preview").exists()
         with pytest.raises(OSError, match="refused"):
             post_stop(scripted_run.said[0].removeprefix("open "))
+
+    @pytest.mark.parametrize("shows_dashboard", [False, True])
+    def test_held_terminal_delays_no_stop(
+        self, scripted_run, held_terminal, monkeypatch, shows_dashboard
+    ) -> None:
+        """The page asks for a stop after the terminal was held, as by Ctrl-S; then the run is ended."""
+        monkeypatch.setattr("skyherd.live.screen.CLOSE_S", 0.2)
+        if shows_dashboard:
+            monkeypatch.setattr("skyherd.live.session.Console", lambda: held_terminal)
+        urls, asked_s, polls = [], [], iter(range(1000))
+
+        def say(line: str) -> None:
+            if line.startswith("open "):
+                urls.append(line.removeprefix("open "))
+            else:
+                held_terminal.file.write(line + "\n")
+                held_terminal.file.flush()
+
+        def ended() -> bool:
+            if next(polls) == 4:
+                asked_s.append(time.monotonic())
+                assert post_stop(urls[0]) == 202
+            return len(scripted_run.stops_s) > 2
+
+        assert scripted_run.run(ended=ended, page=PageAddress("127.0.0.1", 0), say=say) == 0
+        assert scripted_run.stops_s[0] - asked_s[0] < 1.0
+        assert any(thread.name == THREAD for thread in threading.enumerate()), "the terminal is held"
+        assert all(child.code is not None for child in scripted_run.children)
 
     def test_page_whose_port_is_taken_leaves_no_folder(self, scripted_run) -> None:
         with bind("127.0.0.1", 0) as listener, pytest.raises(InputError, match="--port"):
@@ -462,6 +508,18 @@ class TestSupervisor:
             thread.join()
         supervisor.end()
         assert written[1::2] == ["\n"] * 60 and "\n" not in written[::2]
+
+    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+    def test_full_disk_loses_lines_of_the_log_and_nothing_else(self) -> None:
+        told = []
+        supervisor = Supervisor(Path("/dev/full"), told.append)
+        lines = "for number in range(2000): print('a line of some length', number)"
+        supervisor.take(Child("robot/1", [sys.executable, "-c", lines]))
+        limit_s = time.monotonic() + 10
+        while len(told) < 2000 and time.monotonic() < limit_s:
+            time.sleep(0.01)
+        supervisor.say("live", "the end")
+        assert len(told) == 2001 and supervisor.end() == []
 
     def test_end_returns_surviving_processes(self, tmp_path, monkeypatch) -> None:
         """A process that waits for a device cannot be killed. Here, `kill` has no effect."""

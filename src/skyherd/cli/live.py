@@ -154,6 +154,7 @@ def run(
     """
     from skyherd.live.cockpit import PageAddress
     from skyherd.live.lab import load_lab
+    from skyherd.live.screen import leave_held_terminal
     from skyherd.live.session import run_session
 
     lab = load_lab(lab_file, settings or [])
@@ -175,6 +176,7 @@ def run(
             say=say,
             ended=request.is_asked,
         )
+    leave_held_terminal(request.exit_code or code)
     return request.exit_code or code
 
 

@@ -21,8 +21,8 @@ SETTLE_S = 3.0
 """Longest wait of arm and stop for all robots, s. Chosen: a dozen heartbeats of each."""
 
 CLOCK_ERROR_S = 1.0
-"""Largest lead of another operator's clock, s, with which its stop is still dated by its number. Chosen: as in
-labs that check their clocks; a number that is further ahead tells no time."""
+"""Largest lead of another operator's clock, s, with which its stop is still dated by its number. Chosen:
+computers that set their clocks agree better; a number that is further ahead tells no time."""
 
 GONE_S = 2.0
 """Time without a heartbeat after which a process counts as gone, s. Chosen: eight heartbeats."""
@@ -148,8 +148,8 @@ class StopCommand:
     """Command that stops and disarms all robots, and latches the stop in every process of the team.
 
     A robot confirms the stop by a heartbeat that carries its number, or a newer one, and reports the robot
-    disarmed. Heartbeats sent before the stop do not confirm it: if the team turns out to know a number that is
-    not lower, such as of an operator whose clock is ahead, the stop gets a higher one.
+    disarmed. Heartbeats sent before the stop do not confirm it: if the team turns out to know a number that
+    is not lower, such as of an operator whose clock is ahead, the stop gets a higher one.
 
     Args:
         lab: the set-up.
@@ -256,8 +256,8 @@ def watch(lab: Lab, radio: Radio, clock: Callable[[], float], name: str = "opera
 def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S, *, given_s: float | None = None) -> Outcome:
     """Arm all robots, and return the confirmations received within `settle_s`.
 
-    A stop that was given after the command is not cleared: one that is heard while the numbers are learned, or
-    whose number is a time of day since.
+    A stop that was given after the command is not cleared: one that is heard while the numbers are learned,
+    or whose number is a time of day since.
 
     Args:
         lab: the set-up.

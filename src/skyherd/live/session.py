@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console, Group
-from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
@@ -25,6 +24,7 @@ from skyherd.live.live_clock import LiveClock
 from skyherd.live.name_locks import hold_name
 from skyherd.live.operator import ArmCommand, Command, StopCommand, Watch
 from skyherd.live.process_context import HEARTBEAT_S
+from skyherd.live.screen import Screen
 from skyherd.live.supervisor import WRONG, Supervisor
 from skyherd.live.wire import Heartbeat
 from skyherd.live.zenoh_radio import ZenohRadio
@@ -93,17 +93,16 @@ def run_session(
         except InputError:
             radio.close()
             raise
+        if cockpit.url:
+            say(f"open {cockpit.url}")
         console = Console()
         lines: deque[str] = deque(maxlen=LINES)
-        shows = console.is_terminal
+        screen = Screen(console if console.is_terminal else None, say)
 
         def tell(line: str) -> None:
             lines.append(line)
-            if not shows:
-                say(line)
+            screen.tell(line)
 
-        if cockpit.url:
-            say(f"open {cockpit.url}")
         supervisor = Supervisor(folder / "live.log", tell)
         watched = operator.watch(lab, radio, LiveClock(), SESSION)
         session = Session(lab, watched, supervisor.say, arms=armed)
@@ -111,29 +110,30 @@ def run_session(
         end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
         try:
             _start_all(supervisor, lab, lab_file, cameras, options, previews=page is not None)
-            with _keys() as key, _display(console if shows else None) as draw:
+            with _keys() as key:
                 while not ended() and time.monotonic() < end_s and not _end_reason(supervisor):
                     supervisor.tend()
                     session.step(key(), REFRESH_S, page_stops=cockpit.stop_asked())
                     processes = _processes(watched, supervisor)
-                    draw(_dashboard(lab, watched, processes, lines, cockpit.url))
+                    screen.draw(_dashboard(lab, watched, processes, lines, cockpit.url))
                     cockpit.show(processes, watched, lines)
             if ended():
                 supervisor.say("live", "interrupted; ending all processes")
         finally:
             operator.stop(lab, watched, "the end", 0.3)
+            screen.draw(Text("the team was stopped; ending all processes"))
             closing_lines = _closing_lines(supervisor)
             for line in closing_lines:
                 supervisor.say("live", line)
             left = supervisor.end()
             cockpit.close()
             radio.close()
-    if shows:  # Without a dashboard, these lines have been printed.
-        for line in closing_lines:
-            say(line)
-    if left:
-        say(f"still running: {', '.join(left)}")
-    say(f"recorded in {folder}; `skyherd report {folder}` makes a report")
+            is_held = not screen.close()
+    # Without a dashboard, the first lines have been printed.
+    last_lines = [*closing_lines * console.is_terminal, *[f"still running: {', '.join(left)}"] * bool(left)]
+    last_lines.append(f"recorded in {folder}; `skyherd report {folder}` makes a report")
+    for line in () if is_held else last_lines:
+        say(line)
     return WRONG if supervisor.refused else int(bool(left))
 
 
@@ -342,21 +342,11 @@ def _dashboard(
 
 
 @contextmanager
-def _display(console: Console | None) -> Iterator[Callable[[Group], None]]:
-    """Yield the function that draws the dashboard. It does nothing without a terminal."""
-    if console is None:
-        yield lambda page: None
-        return
-    with Live(console=console, screen=True) as live:
-        yield live.update
-
-
-@contextmanager
 def _keys() -> Iterator[Callable[[], str]]:
     """Yield a function that returns the key pressed since the last call, or an empty string.
 
     Of several keys the last one counts, but the space bar has priority: no stop is lost. Without a terminal
-    no key is returned.
+    no key is returned. No terminal that is held is waited for.
     """
     if not sys.stdin.isatty():
         yield lambda: ""
@@ -368,7 +358,7 @@ def _keys() -> Iterator[Callable[[], str]]:
     import tty
 
     before = termios.tcgetattr(sys.stdin)
-    tty.setcbreak(sys.stdin)
+    tty.setcbreak(sys.stdin, termios.TCSANOW)
 
     def pressed() -> str:
         ready, _, _ = select.select([sys.stdin], [], [], 0)
@@ -379,7 +369,7 @@ def _keys() -> Iterator[Callable[[], str]]:
     try:
         yield pressed
     finally:
-        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, before)
+        termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
 
 
 def _windows_key() -> str:

@@ -64,7 +64,8 @@ class Supervisor:
 
     Args:
         log: file of all output lines.
-        tell: called with every line, prefixed with the time and the name of its process.
+        tell: called with every line, prefixed with the time and the name of its process. It must not block:
+            the threads that read the processes wait for it.
     """
 
     def __init__(self, log: Path, tell: Callable[[str], None] = lambda line: None) -> None:
@@ -134,7 +135,7 @@ class Supervisor:
             child.code = child.process.returncode
             if child.code is not None:
                 child.process = None
-        with self._lock:
+        with self._lock, suppress(OSError):
             self._log.close()
         return [child.name for child in self.children if child.process is not None]
 
@@ -142,9 +143,10 @@ class Supervisor:
         """Write a line from or about a process into the log."""
         text = f"{time.strftime('%H:%M:%S')} {name:9} {printable(line)}"
         with self._lock:
-            if not self._log.closed:
-                self._log.write(text + "\n")
-                self._log.flush()
+            with suppress(OSError):  # A full disk does not end the run.
+                if not self._log.closed:
+                    self._log.write(text + "\n")
+                    self._log.flush()
             # Within the lock, so that lines of several processes are not glued together. A terminal or pipe
             # that is gone does not end the run.
             with suppress(OSError):

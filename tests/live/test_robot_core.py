@@ -538,6 +538,29 @@ def test_future_image_is_accepted_within_uncertainty(ahead_s, accepted) -> None:
         assert re.fullmatch(r"image of unit/0 is 0\.1\d s in the future", scene.step().reason)
 
 
+@pytest.mark.parametrize("slow", ["to the robot", "to the unit"])
+def test_watchdog_counts_the_uncertainty_of_clocks_as_age(slow) -> None:
+    """Messages take 0.18 s one way and nothing the other, so that the estimated offset is wrong by half."""
+    scene = Scene()
+    scene.wake()
+    scene.core.clocks = PeerClocks("robot/3", ClockLimits(1.0, 0.1))
+    down_s, up_s = (0.18, 0.0) if slow == "to the robot" else (0.0, 0.18)
+    sent_s = scene.now_s - down_s
+    exchange = Heartbeat({"robot/3": (sent_s - up_s, sent_s)})
+    scene.core.receive(Envelope("unit/0", sent_s, exchange), scene.now_s)
+    assert scene.core.clocks.estimate("unit/0", scene.now_s).uncertainty_s == pytest.approx(0.09, abs=2e-3)
+    for message in (Sighting(0, sent_s, [ROBOT], []), goals(sent_s)):
+        scene.core.receive(Envelope("unit/0", sent_s, message), scene.now_s)
+    scene.arm()
+    while scene.step().reason == DRIVING:
+        assert scene.now_s - sent_s <= LIMITS.goal_timeout_s + 1e-9
+    assert scene.now_s - sent_s > LIMITS.goal_timeout_s - 0.2
+    assert scene.orders[-1].reason == "no fresh goal"
+    late = goals(scene.now_s - 0.55)
+    scene.core.receive(Envelope("unit/0", scene.now_s - down_s, late), scene.now_s)
+    assert re.fullmatch(r"stale image of unit/0: up to 0\.\d+ s old", scene.step().reason)
+
+
 @pytest.mark.parametrize("other", [ROBOT - 1, ROBOT + 1])
 def test_goal_of_another_robot_is_ignored(other) -> None:
     scene = Scene()

@@ -9,6 +9,7 @@ from skyherd.live.lab import load_lab
 from skyherd.live.peers import CONFLICT_S
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import KIND_OF, Envelope, Heartbeat
+from skyherd.messages import FlightCommand
 
 pytestmark = pytest.mark.smoke
 
@@ -147,6 +148,40 @@ class TestGoals:
         assert "goals" not in sent_kinds(unit.see())
         unit.hear()
         assert "goals" in sent_kinds(unit.see())
+
+    def test_sent_after_a_message_that_waited_during_detection(self, make_detections) -> None:
+        """It arrived before the last call; nobody slept."""
+        unit = OneUnit(make_detections)
+        unit.see()
+        unit.hear()
+        unit.see()
+        unit.now_s -= 0.05
+        unit.hear()
+        unit.now_s += 0.05
+        assert unit.core.withheld(unit.now_s) == "" and "goals" in sent_kinds(unit.see())
+
+    def test_withheld_after_a_step_back_of_the_clock(self, make_detections) -> None:
+        unit = OneUnit(make_detections)
+        unit.see()
+        unit.hear()
+        unit.now_s -= 5.0
+        unit.core.heartbeat(unit.now_s, "")
+        assert "no heartbeat since" in unit.core.withheld(unit.now_s)
+
+    def test_flying_unit_hovers_while_goals_are_withheld(self, make_detections) -> None:
+        """Its controller would have it climb, as its robots spread."""
+        unit = OneUnit(make_detections)
+        climb = FlightCommand(0, lateral_mps=[0.1, -0.2], climb_mps=0.3, yaw_rate_radps=0.1)
+        decide = unit.core._controller.step
+        unit.core._controller.step = lambda *given, **how: replace(decide(*given, **how), flight=climb)
+        unit.see()
+        unit.hear()
+        assert unit.see().decision.flight is climb
+        unit.hear(latch=StopLatch(stop=3))
+        hover = unit.see().decision.flight
+        assert not hover.lateral_mps.any() and hover.climb_mps == hover.yaw_rate_radps == 0
+        unit.hear(latch=StopLatch(stop=3, cleared=3))
+        assert unit.see().decision.flight is climb
 
     def test_withheld_while_name_is_ambiguous(self, make_detections) -> None:
         unit = OneUnit(make_detections)

@@ -273,25 +273,25 @@ class RobotCore:
             return
         known = self.clocks.estimate(sender, now_s)
         age_s = now_s - (message.time_s - known.offset_s)
+        oldest_s = age_s + known.uncertainty_s
         if age_s < -known.uncertainty_s - FUTURE_S:
             self._refused = f"image of {sender} is {-age_s:.2g} s in the future"
             return
-        if age_s > self.limits.goal_timeout_s:
-            self._refused = f"stale image of {sender}: {age_s:.2g} s old"
+        if oldest_s > self.limits.goal_timeout_s:
+            self._refused = f"stale image of {sender}: up to {oldest_s:.2g} s old"
             return
         self._refused = ""
         if isinstance(message, Sighting):
-            taken_s = min(now_s, message.time_s - known.offset_s)
             if self.robot_id in message.repeated_ids:
-                self._doubled_s = max(self._doubled_s, taken_s)
+                self._doubled_s = max(self._doubled_s, min(now_s, now_s - age_s))
             elif self.robot_id in message.ids:
-                self._seen_s = max(self._seen_s, taken_s)
+                self._seen_s = max(self._seen_s, min(now_s, now_s - oldest_s))
             return
         mine = np.asarray(message.ids == self.robot_id)
         if isinstance(message, MotionGoals):
             if mine.any():
                 ours = self.clocks.in_our_time(_only(message, mine), sender, now_s)
-                self._team.inboxes.receive(ours, min(now_s, ours.time_s))
+                self._team.inboxes.receive(ours, min(now_s, ours.time_s - known.uncertainty_s))
         elif self._team.neighbors is not None:
             self._team.neighbors.receive(self.clocks.in_our_time(message, sender, now_s), mine)
 

@@ -3,9 +3,9 @@
 The controller is the simulator's (`AerialController`). The team clock (`skyherd.control.TeamClock`) stamps
 the units' reports, so that slots and turns agree between units whose clocks differ. Messages to robots carry
 the time of the image on the unit's own clock, which each robot compares with its clock. A live unit ignores
-reports with untrusted times, and stale images. While a stop is in force it sends no goals. While it suspects
-its camera (`skyherd.control.camera_check`) it sends only heartbeats. Robots count there only while their
-heartbeats say that they drive.
+reports with untrusted times, and stale images. While a stop is in force it sends no goals, and hovers if it
+flies. While it suspects its camera (`skyherd.control.camera_check`) it sends only heartbeats. Robots count
+there only while their heartbeats say that they drive.
 """
 
 import math
@@ -18,7 +18,7 @@ from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
 from skyherd.live.robot_core import DRIVING, FUTURE_S, MAX_GAP_S
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import Envelope, Heartbeat, Message, Sighting
-from skyherd.messages import Detections, UnitReport
+from skyherd.messages import Detections, FlightCommand, UnitReport
 
 HEARTBEAT_LIFE_S = 1.0
 """Time for which a robot's heartbeat shows that it drives, s. Chosen: four heartbeats."""
@@ -128,6 +128,8 @@ class UnitCore:
         obeying = frozenset[int]() if self.withheld(now_s) else self._driving(now_s)
         decision = self._controller.step(detections, list(self._reports.values()), obeying_ids=obeying)
         decision = _stamped(decision, detections.time_s)
+        if self.withheld(now_s):
+            decision = replace(decision, flight=FlightCommand.hold(self.unit_id))
         if decision.suspicion:
             self.trouble = decision.suspicion
             return UnitNews(decision, ())
@@ -159,7 +161,10 @@ class UnitCore:
 
     def _note_call(self, now_s: float) -> None:
         """Detect a start, a sleep or a clock reset from the time since the last call."""
-        last_s, self._called_s = self._called_s, now_s
+        last_s = self._called_s
+        if last_s is not None and 0 < last_s - now_s <= MAX_GAP_S:
+            return  # a message that waited while the unit worked on an image
+        self._called_s = now_s
         if last_s is None or not 0 <= now_s - last_s <= max(MAX_GAP_S, self._oldest_s):
             self._woke_s, self._heard_since_woken = now_s, False
 

@@ -1,7 +1,6 @@
 """Addresses of robots."""
 
 import re
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from skyherd.live.drivers.lines import SerialLines, UdpLines, serial_place, udp_
 from skyherd.live.drivers.link import Link
 from skyherd.live.drivers.mqtt import Mqtt, broker_of
 from skyherd.live.drivers.ros2 import Ros2, topic_of
+from skyherd.live.live_clock import steady_s
 from skyherd.plugins import import_factory
 
 PLUGIN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*(=.*)?", re.DOTALL)
@@ -42,7 +42,7 @@ def open_driver(
     flies: bool = False,
     rate_hz: float = RATE_HZ,
     hold_s: float = HOLD_S,
-    clock: Callable[[], float] = time.monotonic,
+    clock: Callable[[], float] = steady_s,
 ) -> RobotDriver:
     """Open and return the driver of one robot. The caller closes it, which stops the robot.
 

@@ -1,7 +1,6 @@
 """Driver of one robot: a watchdog that repeats the last command while it is fresh, and then sends zero."""
 
 import threading
-import time
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,6 +10,7 @@ from typing import Self
 from skyherd.errors import InputError, MessageError
 from skyherd.live.drivers.limits import LIMITS, Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Link, Motion
+from skyherd.live.live_clock import steady_s
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
@@ -67,7 +67,7 @@ class RobotDriver:
         flies: bool = False,
         rate_hz: float = RATE_HZ,
         hold_s: float = HOLD_S,
-        clock: Callable[[], float] = time.monotonic,
+        clock: Callable[[], float] = steady_s,
         pause: Callable[[float], object] | None = None,
     ) -> None:
         self.robot_id, self.flies, self.rate_hz, self.hold_s = robot_id, flies, rate_hz, hold_s

@@ -12,13 +12,24 @@ from wheels import Wheels
 wheels = Wheels(settings.ROBOT, drive, ticks_ms, ticks_diff)
 
 
+QUIET_CHECKS = 2
+"""Checks without a message, 10 ms apart, after which the newest command counts. After a gap in the connection
+the broker delivers all that waited, at once and in order; the old ones among them must not move the robot."""
+
+newest = None
+
+
 def take(topic, data):
-    """Obey a message."""
+    """Keep the newest command. Zero acts at once."""
+    global newest
     try:
         found = json.loads(data)
-        wheels.hear(*[found[key] for key in ("robot", "number", "forward_mps", "turn_radps")])
+        robot, number, v, w = [found[key] for key in ("robot", "number", "forward_mps", "turn_radps")]
+        newest = int(robot), int(number), float(v), float(w)
     except (ValueError, TypeError, KeyError):
-        pass
+        return
+    if newest[2] == newest[3] == 0:
+        wheels.hear(*newest)
 
 
 client = MQTTClient(f"robot{settings.ROBOT}", settings.BROKER)
@@ -29,8 +40,17 @@ Timer(0).init(period=50, callback=lambda timer: wheels.check())  # also while th
 watchdog = WDT(timeout=5000)  # resets the chip, whose motors are off then, if this loop hangs
 try:
     while True:
-        client.check_msg()
-        watchdog.feed()
-        sleep_ms(10)
+        command, quiet = None, 0
+        while quiet < QUIET_CHECKS:
+            newest = None
+            client.check_msg()
+            watchdog.feed()
+            if newest:
+                command, quiet = newest, 0
+            else:
+                quiet += 1
+                sleep_ms(10)
+        if command:
+            wheels.hear(*command)
 finally:
     drive(0.0, 0.0)

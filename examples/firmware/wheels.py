@@ -45,6 +45,14 @@ class Wheels:
             self.drive(0.0, 0.0)
 
 
+def speed_of(text):
+    """Return the number of a text such as `-0.4000`; two lost zeros do not change a line's exclusive or."""
+    whole, decimals = text.split(".")
+    if len(whole.lstrip("-")) != 1 or len(decimals) != 4:
+        raise ValueError
+    return float(text)
+
+
 def parse(line):
     """Return robot, number, speed and turn rate of a line such as `V,3,17,0.1250,-0.4000*4C`, or None."""
     try:
@@ -53,6 +61,6 @@ def parse(line):
         for byte in text:
             left ^= byte
         kind, robot, number, v, w = text.decode().split(",")
-        return (int(robot), int(number), float(v), float(w)) if kind == "V" and left == 0 else None
+        return (int(robot), int(number), speed_of(v), speed_of(w)) if kind == "V" and left == 0 else None
     except (ValueError, UnicodeError):
         return None

@@ -226,13 +226,51 @@ class TestMicropython:
                 b'{"robot": 3, "number": null, "forward_mps": "fast", "turn_radps": []}',
                 payload_of(4, 1, Motion(0.25, 0.0)),
                 payload_of(3, 1, Motion(0.125, 0.5)),
-                b"hang",
             ):
                 robot.process.stdin.write(data + b"\n")
             robot.process.stdin.flush()
             assert robot.drives_at((0.125, 0.5))
+            robot.process.stdin.write(b"hang\n")
+            robot.process.stdin.flush()
             assert robot.drives_at((0.0, 0.0), HOLD_S + SLACK_S)
             assert (0.25, 0.0) not in [speeds for _, speeds in robot.drives]
+
+    def test_mqtt_robot_does_not_repeat_what_waited_in_a_broker(self, tmp_path) -> None:
+        """The connection is back after the stop, and delivers at once what was sent in the gap."""
+        install(tmp_path, "mqtt_robot.py", ROBOT=3)
+        with running(tmp_path, "mqtt_robot.py") as robot:
+
+            def say(numbers, v: float) -> None:
+                lines = [payload_of(3, number, Motion(v, 0.0)) + b"\n" for number in numbers]
+                robot.process.stdin.write(b"".join(lines))
+                robot.process.stdin.flush()
+
+            say([0], 0.0)
+            say([1], 0.125)
+            assert robot.drives_at((0.125, 0.0))
+            assert robot.drives_at((0.0, 0.0), HOLD_S + SLACK_S)
+            seen = len(robot.drives)
+            say(range(2, 102), 0.125)
+            say(range(102, 202), 0.0)
+            say([202], 0.25)
+            assert robot.drives_at((0.25, 0.0))
+            assert (0.125, 0.0) not in [speeds for _, speeds in robot.drives[seen:]]
+
+
+def test_lost_bytes_are_no_other_speed() -> None:
+    """Two equal bytes cancel in an exclusive or, so that lines without them have the right sum."""
+    accepted = 0
+    for step in range(300):
+        v, w = (7 * step % 300) / 1e3, -(13 * step % 3000) / 1e3
+        line = line_of(3, 1000 + step, Motion(v, w))
+        assert firmware.parse(line) == pytest.approx((3, 1000 + step, v, w), abs=1e-9)
+        for begin in range(len(line) - 1):
+            for length in (1, 2, 3, 4):
+                found = firmware.parse(line[:begin] + line[begin + length :])
+                if found is not None and found[0] == 3:
+                    accepted += 1
+                    assert found[2:] == pytest.approx((v, w), abs=1e-9)
+    assert accepted, "the line number may be another one"
 
 
 def test_motors_mix_speed_and_turn_rate(monkeypatch) -> None:

@@ -24,7 +24,13 @@ from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, IntArray, to_poin
 from skyherd.markers.dictionary import border_cells, cells_per_side, code_distance
 from skyherd.messages import Quality
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric.candidates import SearchPass, non_maximum_suppression, on_plane, within_better
+from skyherd.vision.photometric.candidates import (
+    SearchPass,
+    may_be_cut,
+    non_maximum_suppression,
+    on_plane,
+    within_better,
+)
 from skyherd.vision.photometric.evidence.likelihood import (
     MarkerOdds,
     log_likelihoods,
@@ -51,7 +57,9 @@ from skyherd.vision.photometric.refine import (
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.photometric.verify import (
     MAX_BLUR_CELLS,
+    MAX_KEYSTONE,
     MIN_MARKER_CONTRAST,
+    STRONG_DISTANCE,
     bits_are_right,
     may_be_occluded,
     residual_is_noise,
@@ -119,6 +127,9 @@ def measure_candidates(
     fits, good, plane = verify_and_refit(
         image, dictionary, fits, plane, start, candidates.corners_px, known_plane
     )
+    if code_distance(dictionary) < STRONG_DISTANCE:
+        is_known = plane.shared and np.count_nonzero(good) >= MIN_MARKERS_ON_PLANE
+        good &= ~may_be_cut(fits.homographies, plane if is_known else Plane(), image.shape[::-1])
     found = fits.take(good)
     shapes, merits = found.homographies, found.qualities - found.noise_stds / GREY_LEVELS
     good, sides_px = good.copy(), shapes.sides_px()
@@ -205,6 +216,8 @@ def verify_and_refit(
         read = replace(fits.take(rows), ids=odds.ids, blacks=odds.blacks, contrasts=odds.contrasts)
         measured = _measured(image, dictionary, read, known_plane, floor, edges.turned(odds.turns))
         accepted = (odds.log_odds >= min_log_odds(dictionary)) | (measured.qualities == Quality.ROBUST)
+        if code_distance(dictionary) < STRONG_DISTANCE:
+            accepted &= np.abs(measured.homographies.keystones()) <= MAX_KEYSTONE
         fits, good = _replaced(fits, good, rows[accepted], measured.take(accepted))
     return fits, good, plane
 

@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from skyherd.geometry import to_complex, to_points
-from skyherd.markers.dictionary import corners_of_pose
+from skyherd.markers.dictionary import corners_of_pose, marker_cells
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.photometric.candidates import find_candidates, within_better
+from skyherd.vision.photometric import measure
+from skyherd.vision.photometric.candidates import find_candidates, may_be_cut, within_better
 from skyherd.vision.photometric.detector import CLEAR_CORRELATION
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
@@ -162,3 +164,67 @@ def test_half_of_a_marker_is_within_the_better_one() -> None:
     centers, sides_px = np.array([100 + 100j, 106 + 100j, 140 + 100j]), np.array([22.0, 16.0, 22.0])
     assert within_better(centers, sides_px, np.array([2, 1, 1])).tolist() == [False, True, False]
     assert not within_better(centers, sides_px, np.array([1, 1, 1])).any()
+
+
+def rectangle(center: complex, along: complex, ratio: float) -> LocalHomographies:
+    """Return the shape of a marker whose sides are `along` and a share of it, px."""
+    corners = center + np.array([-1 - 1j, 1 - 1j, 1 + 1j, -1 + 1j]) / 2
+    z = corners - center
+    return LocalHomographies.of_corners(to_points(center + along * (z.real + 1j * ratio * z.imag))[None])
+
+
+@pytest.mark.parametrize(
+    ("center", "along", "ratio", "is_cut"),
+    [
+        pytest.param(100 + 20j, 48, 0.5, True, id="half of a marker at the upper border"),
+        pytest.param(100 + 80j, 48, 0.5, False, id="in the middle"),
+        pytest.param(100 + 37j, 48, 0.5, False, id="the whole square is inside"),
+        pytest.param(20 + 80j, 48j, 0.5, True, id="at the left border"),
+        pytest.param(185 + 80j, 48 * np.exp(1.4j), 0.5, True, id="turned, at the right border"),
+        pytest.param(100 + 20j, 48, 0.9, False, id="nearly a square"),
+        pytest.param(100 + 30j, 24, 2.0, False, id="narrower along the border"),
+    ],
+)
+def test_parts_of_cut_markers_are_recognized(center, along, ratio, is_cut) -> None:
+    assert may_be_cut(rectangle(center, along, ratio), Plane(), (200, 160)).tolist() == [is_cut]
+
+
+def test_tilt_of_the_plane_makes_no_part_of_a_marker() -> None:
+    shape = rectangle(100 + 20j, 48, 0.5)
+    tilted = Plane((shape.anisotropies / shape.similarities.conj())[0])
+    assert not may_be_cut(shape, tilted, (200, 160)).any()
+
+
+def test_rhombus_is_no_part_of_a_marker() -> None:
+    """A marker that is tilted about its diagonal has its anisotropy off its own axes."""
+    square = rectangle(100 + 20j, 48, 1.0)
+    rhombus = replace(square, anisotropies=square.similarities * 0.33j)
+    assert not may_be_cut(rhombus, Plane(), (200, 160)).any()
+
+
+def test_half_of_a_cut_marker_is_no_other_marker(monkeypatch) -> None:
+    """The right half of marker 22 is marker 17 at 60 degrees; only the border says that it is not."""
+    cells = np.pad(marker_cells(DICTIONARY, 22).astype(float), 1, constant_values=1.0)
+    image = np.full((200, 200), 130.0)
+    image[60:124, :48] = 255 * np.kron(cells, np.ones((8, 8)))[:, 16:]
+    image = np.rint(cv2.GaussianBlur(image, (0, 0), 0.7)).astype(np.uint8)
+    detect = PhotometricDetector(DICTIONARY, following=False).detect
+    assert not detect(image).ids.size
+    monkeypatch.setattr(measure, "may_be_cut", lambda shapes, *rest: np.zeros(len(shapes), dtype=bool))
+    assert detect(image).ids.tolist() == [17]
+
+
+@pytest.mark.parametrize(("keystone", "is_found"), [(0.3, True), (0.8, False)])
+def test_markers_by_their_edges_have_the_shape_of_squares(monkeypatch, keystone, is_found) -> None:
+    """No fit is verified, so that the log odds decide."""
+    monkeypatch.setattr(measure, "verified", lambda fits, *rest: np.zeros(fits.ids.size, dtype=bool))
+    cells = np.pad(marker_cells(DICTIONARY, 17).astype(np.float32), 1, constant_values=1.0)
+    card = 255 * np.kron(cells, np.ones((16, 16), dtype=np.float32))
+    middle = (len(card) - 1) / 2
+    bend = np.array([[1, 0, 0], [0, 1, 0], [0, keystone / (16 * 6), 1]])
+    there, back = np.eye(3), np.eye(3)
+    there[:2, 2], back[:2, 2] = 120, -middle
+    image = cv2.warpPerspective(card, there @ bend @ back, (240, 240), borderValue=255)
+    image = np.rint(cv2.GaussianBlur(image, (0, 0), 0.7)).astype(np.uint8)
+    found = PhotometricDetector(DICTIONARY, following=False).detect(image)
+    assert (found.ids.tolist() == [17]) == is_found

@@ -52,7 +52,7 @@ def measure(image_set: ImageSet, most: int) -> tuple[list[int], list[float], lis
         kind = ("--border-bits" in words) == ("border_bits" in options and options["border_bits"] != 1)
         kind &= ("--inverted" in words) == bool(options.get("inverted"))
         advised = kind and same_series(name and name[1], right)
-        needless = suggest(image, right, **options) is not None
+        needless = suggest(image, right, repeats=True, **options) is not None
         counts += [1, same_series(found, right), advised, needless]
         if counts[0] == most:
             break

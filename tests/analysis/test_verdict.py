@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skyherd.analysis.history import History, make_history
-from skyherd.analysis.verdict import _falling, explain_outcome, reached_s
+from skyherd.analysis.verdict import _changed, _falling, explain_outcome, reached_s
 from skyherd.datasets import load_mission, make_mission
 from skyherd.loop import run_steps
 from skyherd.sim.perception import make_run_perception
@@ -194,14 +194,46 @@ def test_shape_reached_too_late_counts_as_not_held(formed: History) -> None:
     assert "but not for the last 1000 s" in explain_outcome(late)
 
 
+def decay(shape_error, *, changes_s=()) -> SimpleNamespace:
+    """Return a run of 10 s with the given shape errors (101,), whose shape changes at the given times."""
+    return SimpleNamespace(
+        times_s=np.linspace(0, 10, 101),
+        shape_error=shape_error,
+        mission=SimpleNamespace(
+            scenario=SimpleNamespace(goal=SimpleNamespace(shape_error=0.01, hold_s=2.0)),
+            later=[(at_s, None) for at_s in changes_s],
+        ),
+    )
+
+
 @pytest.mark.parametrize(("rate_ps", "seconds"), [(0.1, 31), (0.2, 12)])
 def test_time_needed_follows_an_exponential_decay(rate_ps, seconds) -> None:
     """`log(0.5 exp(-10 r) / 0.01) / r` and the 2 s for which the shape must be held: 31 s and 12 s."""
-    times_s = np.linspace(0, 10, 101)
-    scenario = SimpleNamespace(goal=SimpleNamespace(shape_error=0.01, hold_s=2.0))
-    history = SimpleNamespace(
-        times_s=times_s,
-        shape_error=0.5 * np.exp(-rate_ps * times_s),
-        mission=SimpleNamespace(scenario=scenario),
-    )
+    history = decay(0.5 * np.exp(-rate_ps * np.linspace(0, 10, 101)))
     assert f"falls by {100 * rate_ps:.1f} % a second; about {seconds} s more are needed" in _falling(history)
+
+
+@pytest.mark.parametrize("changes_s", [(9.0,), (2.0, 9.0), (9.0, 10.5)])
+def test_decay_is_judged_from_the_last_change_of_shape(changes_s) -> None:
+    """The error jumps from 0.02 to 0.5 at the change, and falls by 20 % a second before and after it."""
+    times_s = np.linspace(0, 10, 101)
+    errors = np.where(times_s > 8.95, 0.5 * np.exp(-0.2 * (times_s - 9)), 0.02 * np.exp(-0.2 * times_s))
+    assert "still falls by 20.0 % a second" in _falling(decay(errors, changes_s=changes_s))
+
+
+@pytest.mark.parametrize(("changed_s", "said"), [(10.0, "0 s"), (9.9, "0.1 s"), (8.5, "1.5 s"), (7.9, None)])
+def test_change_of_shape_near_the_end_is_named(changed_s, said) -> None:
+    """The last 2 of 10 s are judged."""
+    history = decay(np.full(101, 0.5), changes_s=[changed_s])
+    expected = said and f"the run is too short, since the shape changed {said} before the end"
+    assert _falling(history) is None and _changed(history) == expected
+
+
+@pytest.mark.parametrize(("duration_s", "left_s"), [(1.0, 0), (1.2, 0.2)])
+@pytest.mark.parametrize("limit", ["robots.max_speed_mps=0.5", "robots.max_speed_mps=0.02"])
+def test_verdict_after_a_late_change_of_shape(duration_s, left_s, limit) -> None:
+    line = "template.then=[{ at_s = 1.0, shape = 'line' }]"
+    said = explain_outcome(history_of("triangle", line, limit, f"duration_s={duration_s}"))
+    assert (
+        "speed limit" if left_s and "0.02" in limit else f"shape changed {left_s} s before the end"
+    ) in said

@@ -127,6 +127,31 @@ def test_detect_prints_reason_without_detections(here, capsys) -> None:
     assert call(capsys, "other.png", "--force", "--require", "--dictionary", "5X5_100")[0] == 0
 
 
+@pytest.mark.parametrize(
+    ("options", "hint"),
+    [
+        ([], "another dictionary, and their ids repeat; try --dictionary APRILTAG_36h11 --repeats"),
+        (["--repeats"], "another dictionary; try --dictionary APRILTAG_36h11"),
+        (
+            ["--dictionary", "auto"],
+            "4 markers of APRILTAG_36h11 share their ids and are left out; try --repeats",
+        ),
+    ],
+)
+def test_hint_leads_to_markers_that_share_an_id(here, capsys, options, hint) -> None:
+    Image.fromarray(sheet([0, 0, 0, 0], dictionary="APRILTAG_36h11")).save("a.png")
+    _, _, err = call(capsys, "a.png", *options)
+    assert err.startswith("warning: a.png: no marker found: ") and err.endswith(f"{hint}\n")
+    tried = [*options, *hint.partition("try ")[2].split()]
+    code, out, err = call(capsys, "a.png", "--force", "--require", *tried)
+    assert (code, err) == (0, "") and " 4  0" in out
+
+
+def test_explanation_of_a_repeated_id_names_the_option(here, capsys) -> None:
+    Image.fromarray(sheet([4, 4, 11])).save("a.png")
+    assert "use each id once, or report all of them with --repeats" in call(capsys, "a.png", "--explain")[1]
+
+
 def test_rejections_have_number_position_and_remedy(here, capsys) -> None:
     image = sheet()
     small = cv2.resize(image, None, fx=0.12, fy=0.12, interpolation=cv2.INTER_AREA)

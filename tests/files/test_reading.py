@@ -14,7 +14,7 @@ from skyherd.datasets.configuration.template_image import read_template_image
 from skyherd.errors import InputError
 from skyherd.files import images, reading, video_reader
 from skyherd.files.images import read_grey
-from skyherd.files.reading import read_bytes, read_json
+from skyherd.files.reading import read_bytes, read_json, read_text
 from skyherd.files.video_reader import open_clip, read_clip
 
 EPS = b"""%!PS-Adobe-3.0 EPSF-3.0
@@ -94,6 +94,13 @@ def test_invalid_json_is_input_error(tmp_path, text, words):
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(InputError, match=words):
         read_json(path, "a good one")
+
+
+def test_byte_order_mark_is_no_part_of_a_text(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text('"\ufeffé"', "utf-8-sig")
+    assert read_text(path, "a good one", reading.MIB) == '"\ufeffé"'
+    assert read_json(path, "a good one") == "\ufeffé"
 
 
 def test_json_of_64_levels_is_read(tmp_path):

@@ -104,6 +104,21 @@ def test_one_of_several_cameras_is_chosen_by_name(tmp_path) -> None:
         read_calibration(f"{path}#cam7")
 
 
+@pytest.mark.parametrize("name", ["ros.yaml", "caliscope.toml"])
+def test_file_with_a_byte_order_mark_is_calibration(tmp_path, name) -> None:
+    (tmp_path / name).write_text(FILES[name][0], "utf-8-sig")
+    assert read_calibration(tmp_path / name).size_px == (640, 480)
+
+
+def test_name_is_rejected_if_the_only_camera_has_none(tmp_path) -> None:
+    path = tmp_path / "camera.yaml"
+    path.write_text(GOOD)
+    with pytest.raises(InputError) as error:
+        read_calibration(f"{path}#cam3")
+    unnamed = "no camera 'cam3', since its only camera has no name"
+    assert str(error.value) == f"{path}: {unnamed}; leave out '#cam3'"
+
+
 GOOD = ros("plumb_bob", [0.0] * 5)
 BAD = {
     "nothing": ("", "no keys and values"),

@@ -104,6 +104,14 @@ def test_page_loads_only_the_video_beside_it(page: Path, on_page: tuple[Panel, .
     assert len(ids) == len(set(ids))
 
 
+def test_page_describes_the_video_only_if_there_is_one(page: Path, history: History, tmp_path: Path) -> None:
+    without = write_page(tmp_path, history, summarize(history, 1.5), [], VERSIONS, "").read_text("utf-8")
+    end = "The figures below show the run over time.</p>"
+    said = "The video shows the images, the ground from above, and the cost and the scales over time."
+    assert f"the method</a>). {said} {end}" in page.read_text("utf-8")
+    assert f"the method</a>). {end}" in without and "video" not in without.partition("<body")[2].lower()
+
+
 @pytest.mark.smoke
 def test_page_shows_every_summary_value(page: Path, history: History) -> None:
     text = page.read_text("utf-8")

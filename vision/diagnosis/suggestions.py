@@ -1,15 +1,21 @@
-"""Advice for an image with few detections: to flip it, or to use another print or another dictionary.
+"""Advice for an image with few detections: to flip it, to use another print or dictionary, or `--repeats`.
 
 The evidence of the image's dark and light squares ranks all prints of all dictionaries (`print_evidence`).
 The default detector confirms the best of them.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from skyherd.markers.dictionary import canonical_name, load_dictionary, with_border
-from skyherd.vision.detectors.registry import DEFAULT_DICTIONARY, create_detector, describe_mirrored
+from skyherd.vision.detectors.registry import (
+    DEFAULT_DETECTOR,
+    DEFAULT_DICTIONARY,
+    create_detector,
+    describe_mirrored,
+)
 from skyherd.vision.diagnosis.print_evidence import ALL_PRINTS, MarkerPrint, PrintEvidence, rank_prints
 from skyherd.vision.grey import Image, check_grey
 
@@ -25,17 +31,40 @@ MAX_CONFIRMED = 3
 """Number of prints that the detector is asked to confirm. Chosen: each takes the time of a detection."""
 
 
-def suggest(image: Image, dictionary: str, *, border_bits: int = 1, inverted: bool = False) -> str | None:
+class MarkerCount(NamedTuple):
+    """Numbers of markers of one print in an image.
+
+    Attributes:
+        markers: all of them.
+        repeated: those whose id another marker has, too.
+    """
+
+    markers: int
+    repeated: int
+
+
+def suggest(
+    image: Image,
+    dictionary: str,
+    *,
+    border_bits: int = 1,
+    inverted: bool = False,
+    repeats: bool = False,
+    detector: str = DEFAULT_DETECTOR,
+) -> str | None:
     """Return what to try where little was found in a grey image, in words; None if nothing helps.
 
-    Considered are the image's mirror image, other prints of the same markers, and other dictionaries in all
-    prints. The result names all options at once with which the default detector finds more markers.
+    Considered are the image's mirror image, other prints of the same markers, other dictionaries in all
+    prints, and ids that repeat. The result names all options at once with which the default detector finds
+    more markers.
 
     Args:
         image: grey, (height, width), as it was taken.
         dictionary: of the markers that were looked for, without a border after its name.
         border_bits: width of the border that was looked for, in cells.
         inverted: whether white markers on black were looked for.
+        repeats: whether ids that repeat were reported.
+        detector: name of the detector that was used.
 
     Raises:
         InputError: the image is not a grey one of 8 bits, or there is no such dictionary or border.
@@ -45,15 +74,22 @@ def suggest(image: Image, dictionary: str, *, border_bits: int = 1, inverted: bo
     looked_for = PrintEvidence(dictionary, MarkerPrint(border_bits, inverted), -np.inf)
     ranked = rank_prints(image, ALL_PRINTS)
     own = next((one for one in ranked if one[:2] == looked_for[:2]), looked_for)
-    found: int | None = None
-    for best in _likely(ranked, looked_for.kind):
-        if best == own or best.log_evidence < own.log_evidence:
-            continue
-        found = _count(image, looked_for) if found is None else found
-        if (there := _count(image, best)) > found:
-            is_only_mirrored = best[:2] == (dictionary, looked_for.kind._replace(mirrored=True))
-            return describe_mirrored(found, there) if is_only_mirrored else _in_words(looked_for, best)
-    return None
+    likely = _likely(ranked, looked_for.kind)
+    others = [one for one in likely if one != own and one.log_evidence >= own.log_evidence]
+    if not others and (repeats or own.log_evidence < MIN_LOG_EVIDENCE):
+        return None
+    found = _count(image, looked_for)
+    for best in others:
+        if (there := _count(image, best)).markers > found.markers:
+            option = "" if repeats or not there.repeated else _repeats_option(detector)
+            if best[:2] == (dictionary, looked_for.kind._replace(mirrored=True)):
+                advice = describe_mirrored(found.markers, there.markers)
+                return f"{advice}; its ids repeat: add {option}" if option else advice
+            return _in_words(looked_for, best, option)
+    if repeats or not found.repeated:
+        return None
+    left_out = f"{found.repeated} markers of {dictionary} share their ids and are left out"
+    return f"{left_out}; try {_repeats_option(detector)}"
 
 
 def find_dictionary(image: Image, *, border_bits: int = 1, inverted: bool = False) -> str | None:
@@ -74,7 +110,7 @@ def find_dictionary(image: Image, *, border_bits: int = 1, inverted: bool = Fals
     with_border(DEFAULT_DICTIONARY, border_bits)
     kind = MarkerPrint(border_bits, inverted)
     ranked = _likely(rank_prints(image, [kind]), kind)
-    return next((best.dictionary for best in ranked if _count(image, best)), None)
+    return next((best.dictionary for best in ranked if _count(image, best).markers), None)
 
 
 def _likely(ranked: list[PrintEvidence], looked_for: MarkerPrint) -> list[PrintEvidence]:
@@ -88,8 +124,8 @@ def _likely(ranked: list[PrintEvidence], looked_for: MarkerPrint) -> list[PrintE
     return sorted(likely, key=log_odds, reverse=True)[:MAX_CONFIRMED]
 
 
-def _count(image: Image, there: PrintEvidence) -> int:
-    """Return the number of markers of a print that the default detector finds, repeated ids included."""
+def _count(image: Image, there: PrintEvidence) -> MarkerCount:
+    """Return the numbers of markers of a print that the default detector finds."""
     image = np.ascontiguousarray(image[:, ::-1]) if there.kind.mirrored else image
     detector = create_detector(
         dictionary=there.dictionary,
@@ -97,11 +133,20 @@ def _count(image: Image, there: PrintEvidence) -> int:
         inverted=there.kind.inverted,
         repeats=True,
     )
-    return len(detector.detect(image))
+    found = detector.detect(image)
+    return MarkerCount(len(found), int(found.repeated.sum()))
 
 
-def _in_words(looked_for: PrintEvidence, there: PrintEvidence) -> str:
-    """Return the differences of the markers in an image from those looked for, with all options for them."""
+def _repeats_option(detector: str) -> str:
+    """Return the options that report ids that repeat, which only the default detector does."""
+    return "--repeats" if detector == DEFAULT_DETECTOR else f"--detector {DEFAULT_DETECTOR} --repeats"
+
+
+def _in_words(looked_for: PrintEvidence, there: PrintEvidence, repeats_option: str) -> str:
+    """Return the differences of the markers in an image from those looked for, with all options for them.
+
+    `repeats_option` is that for ids that repeat, or empty.
+    """
     facts, options = [], []
     if there.kind.border_bits != looked_for.kind.border_bits:
         facts.append(f"drawn with a border of {there.kind.border_bits} cell(s)")
@@ -115,10 +160,14 @@ def _in_words(looked_for: PrintEvidence, there: PrintEvidence) -> str:
     elif there.kind.inverted < looked_for.kind.inverted:
         facts.insert(0, "black on white")
         options.append("without --inverted")
-    tried = " ".join(options)
     if there.kind.mirrored:
-        return f"its markers are {_listed(['mirrored', *facts])}; flip it left to right and try {tried}"
-    return f"its markers are {_listed(facts)}; try {tried}"
+        facts.insert(0, "mirrored")
+    are = f"its markers are {_listed(facts)}"
+    if repeats_option:
+        are += ", and their ids repeat"
+        options.insert(-1 if options[-1:] == ["without --inverted"] else len(options), repeats_option)
+    flip = "flip it left to right and " * there.kind.mirrored
+    return f"{are}; {flip}try {' '.join(options)}"
 
 
 def _listed(facts: list[str]) -> str:

@@ -8,7 +8,8 @@ SHOWN_CELLS = 4
 """Most wrong cells that are named one by one. Chosen: they fit into a line."""
 
 WORDS = {
-    Reason.REPEATED: "id {id} is there more than once, so that none is trusted: use each id once",
+    Reason.REPEATED: "id {id} is there more than once, so that none is trusted: use each id once, or report "
+    "all of them with --repeats",
     Reason.OVERLOOKED: "the detector photometric finds id {id} here: use it",
     Reason.NO_BITS: "a dark quadrilateral without bits",
     Reason.MIRRORED: "the mirror image of id {id}: flip the picture left to right",

@@ -19,6 +19,9 @@ RATE_SHARE = 0.2
 MIN_DECAY = 0.02
 """Least share of its error that a run loses over that part and still counts as converging. Chosen."""
 
+MIN_STEPS = 3
+"""Least number of steps from which a decay is estimated. Chosen: one more than a line needs."""
+
 MIN_RECALL = 0.5
 """Share of detected markers below which detection is the cause. Chosen."""
 
@@ -87,7 +90,7 @@ def _cause(history: History) -> str:
     if history.mission.scenario.control.method == "similarity":
         causes = [_unseen, _undetected, _suspected, _out_of_range, _uncontrolled, _unshared]
         causes += [_uncovered, _stale]
-    causes += [_saturated, _falling, _resting, _bent]
+    causes += [_saturated, _falling, _changed, _resting, _bent]
     return next(filter(None, (cause(history) for cause in causes)), "the error no longer falls")
 
 
@@ -238,7 +241,9 @@ def _stale(history: History) -> str | None:
 
 def _saturated(history: History) -> str | None:
     """State that the robots drive at a limit of their wheels, and the time that they still need."""
-    robots, last = history.mission.scenario.robots, _last_part(history.times_s)
+    robots, last = history.mission.scenario.robots, _judged_part(history)
+    if last.sum() < MIN_STEPS and _changed(history):
+        return None
     speeds = np.abs(history.v_mps)[last] / robots.max_speed_mps
     turns = np.abs(history.omega_radps)[last] / robots.max_turn_radps
     share, limit = max(
@@ -259,13 +264,21 @@ def _saturated(history: History) -> str | None:
 
 def _falling(history: History) -> str | None:
     """State the rate of a falling error, and the time until it would reach the goal."""
-    rate_ps = _decay_ps(history.times_s, history.shape_error)
-    goal = history.mission.scenario.goal
+    rate_ps, goal = _decay_ps(history), history.mission.scenario.goal
     if rate_ps is None:
         return None
     more_s = max(np.log(history.shape_error[-1] / goal.shape_error) / rate_ps, 0.0) + goal.hold_s
     falls = f"the error still falls by {100 * rate_ps:.1f} % a second"
     return f"the run is too short, since {falls}; about {more_s:.0f} s more are needed"
+
+
+def _changed(history: History) -> str | None:
+    """State that the shape changed so late that the decay of the error cannot be judged."""
+    changed_s, last = _last_change_s(history), _last_part(history.times_s)
+    if changed_s is None or changed_s < history.times_s[last][0]:
+        return None
+    left_s = max(float(history.times_s[-1]) - changed_s, 0.0)
+    return f"the run is too short, since the shape changed {left_s:.3g} s before the end"
 
 
 def _resting(history: History) -> str | None:
@@ -290,10 +303,23 @@ def _last_part(times_s: Array) -> BoolArray:
     return np.asarray(times_s >= times_s[-1] - RATE_SHARE * (times_s[-1] - times_s[0]))
 
 
-def _decay_ps(times_s: Array, errors: Array) -> float | None:
-    """Return the exponential decay rate of the error over the last part of a run; None if it has stopped."""
-    last = _last_part(times_s) & np.isfinite(errors) & (errors > 0)
-    if last.sum() < 3:
+def _last_change_s(history: History) -> float | None:
+    """Return the time, s, of the last change of shape in a run; None if it has one shape."""
+    end_s = float(history.times_s[-1]) + TIME_TOLERANCE_S
+    return max((at_s for at_s, _ in history.mission.later if at_s <= end_s), default=None)
+
+
+def _judged_part(history: History) -> BoolArray:
+    """Return the mask (T,) of the last part of a run, without the steps before the last change of shape."""
+    last, changed_s = _last_part(history.times_s), _last_change_s(history)
+    return last if changed_s is None else last & (history.times_s >= changed_s - TIME_TOLERANCE_S)
+
+
+def _decay_ps(history: History) -> float | None:
+    """Return the exponential decay rate of the error over the judged part; None if it is not falling."""
+    times_s, errors = history.times_s, history.shape_error
+    last = _judged_part(history) & np.isfinite(errors) & (errors > 0)
+    if last.sum() < MIN_STEPS:
         return None
     rate_ps = -float(np.polyfit(times_s[last], np.log(errors[last]), 1)[0])
     return rate_ps if rate_ps * float(np.ptp(times_s[last])) > MIN_DECAY else None

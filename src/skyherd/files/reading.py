@@ -82,11 +82,13 @@ def read_bytes(path: Path, allowed: str, max_bytes: int) -> bytes:
 def read_text(path: Path, allowed: str, max_bytes: int) -> str:
     """Read a text file in UTF-8 of at most `max_bytes`; arguments are those of `open_regular`.
 
+    A byte order mark at the start, as editors of Windows write it, is no part of the text.
+
     Raises:
         InputError: `open_regular` rejects it, or it is not UTF-8 text.
     """
     try:
-        return read_bytes(path, allowed, max_bytes).decode("utf-8")
+        return read_bytes(path, allowed, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(str(path), "not a text file in UTF-8", allowed) from None
 

@@ -141,7 +141,14 @@ class Inspector:
 
     def _hint(self, image: Grey, dictionary: str) -> str | None:
         """Return advice where little was found."""
-        return suggest(image, dictionary, border_bits=self.border_bits, inverted=self.inverted)
+        return suggest(
+            image,
+            dictionary,
+            border_bits=self.border_bits,
+            inverted=self.inverted,
+            repeats=self.repeats,
+            detector=self.detector,
+        )
 
     def inspect(self, target: Path, folder: Path, *, force: bool = False) -> list[FileResult]:
         """Run the detector over a picture, a video, a rosbag2 recording, or a folder of pictures and videos.

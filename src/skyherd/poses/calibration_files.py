@@ -84,8 +84,11 @@ def read_calibration(where: Path | str) -> Calibration:
     if file.suffix.lower() not in SUFFIXES:
         raise InputError(path, f"suffix {file.suffix!r}", ALLOWED)
     cameras = _cameras(path, _parsed(file))
+    if name and "" in cameras:
+        unnamed = f"no camera {shown(name)}, since its only camera has no name"
+        raise InputError(path, unnamed, f"leave out {shown(f'#{name}')}")
     if name and name not in cameras:
-        raise InputError(path, f"no camera {shown(name)}", one_of(name, list(map(str, cameras))))
+        raise InputError(path, f"no camera {shown(name)}", one_of(name, cameras))
     if not name and len(cameras) > 1:
         raise InputError(path, f"{len(cameras)} cameras", f"one of {path}#{', #'.join(cameras)}")
     name = name or next(iter(cameras))

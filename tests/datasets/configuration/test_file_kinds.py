@@ -4,7 +4,16 @@ import tomllib
 
 import pytest
 
-from skyherd.datasets import DatasetSpec, Scenario, built_in_names, built_in_text, load_mission, load_spec
+from skyherd.datasets import (
+    DatasetSpec,
+    Scenario,
+    built_in_names,
+    built_in_text,
+    load_mission,
+    load_spec,
+    parse_toml,
+    read_toml_text,
+)
 from skyherd.datasets.configuration.file_kinds import (
     DATASET,
     KINDS,
@@ -34,6 +43,15 @@ def test_keys_of_each_kind_are_those_of_its_model(kind):
 @pytest.mark.parametrize(("kind", "name"), BUILT_IN)
 def test_every_built_in_file_is_recognized(kind, name):
     assert recognize(tomllib.loads(built_in_text(kind.package, name, "file"))) is kind
+
+
+@pytest.mark.parametrize(("kind", "name"), BUILT_IN)
+def test_file_with_a_byte_order_mark_is_read(kind, name, tmp_path):
+    text = built_in_text(kind.package, name, "file")
+    (tmp_path / "plain.toml").write_text(text, "utf-8")
+    (tmp_path / "marked.toml").write_text(text, "utf-8-sig")
+    plain, marked = (read_toml_text(tmp_path / f"{stem}.toml", "file") for stem in ("plain", "marked"))
+    assert recognize(parse_toml(marked, "marked.toml", "")) is kind and marked == plain
 
 
 @pytest.mark.parametrize("tree", [{}, {"a": 1}, {"seed": 1}, {"name": "x", "b": 1, "c": 2}])

@@ -100,10 +100,51 @@ def _options(said: str, looked_for: dict) -> dict:
 
 @pytest.mark.parametrize("options", [{}, {"inverted": True}])
 def test_suggest_returns_none_if_the_settings_are_right(options) -> None:
-    """Also not where one of three repeats and is left out, since no other print has more of them."""
     image = drawn(inverted=bool(options))
     assert suggest(image, "4X4_50", **options) is None
-    assert suggest(drawn([4, 4, 6], inverted=bool(options)), "4X4_50", **options) is None
+    assert suggest(drawn([4, 4, 6], inverted=bool(options)), "4X4_50", repeats=True, **options) is None
+
+
+@pytest.mark.parametrize("options", [{}, {"inverted": True}])
+def test_suggest_counts_markers_that_share_their_ids(options) -> None:
+    said = suggest(drawn([4, 4, 6], inverted=bool(options)), "4X4_50", **options)
+    assert said == "2 markers of 4X4_50 share their ids and are left out; try --repeats"
+
+
+@pytest.mark.parametrize(
+    ("there", "options", "said"),
+    [
+        ({}, {}, "of another dictionary, and their ids repeat; try --dictionary 5X5_50 --repeats"),
+        ({}, {"repeats": True}, "of another dictionary; try --dictionary 5X5_50"),
+        (
+            {},
+            {"detector": "opencv"},
+            "of another dictionary, and their ids repeat; "
+            "try --dictionary 5X5_50 --detector photometric --repeats",
+        ),
+        (
+            {},
+            {"inverted": True},
+            "black on white and of another dictionary, and their ids repeat; "
+            "try --dictionary 5X5_50 --repeats without --inverted",
+        ),
+        (
+            {"dictionary": "5X5_50@2", "inverted": True},
+            {},
+            "white on black, drawn with a border of 2 cell(s) and of another dictionary, and their ids "
+            "repeat; try --inverted --border-bits 2 --dictionary 5X5_50 --repeats",
+        ),
+    ],
+)
+def test_suggestion_names_repeats_with_other_options(there, options, said) -> None:
+    image = drawn([4, 4, 4], **{"dictionary": "5X5_50"} | there)
+    assert suggest(image, "4X4_50", **options) == f"its markers are {said}"
+
+
+def test_mirrored_markers_that_share_ids_get_one_advice() -> None:
+    image = np.ascontiguousarray(drawn([4, 4, 4])[:, ::-1])
+    said = suggest(image, "4X4_50") or ""
+    assert "3 in its mirror image" in said and said.endswith("; its ids repeat: add --repeats")
 
 
 def test_larger_dictionary_of_series_is_named_with_inversion() -> None:
@@ -154,10 +195,11 @@ def test_smaller_dictionary_of_the_same_markers_is_not_advised() -> None:
 
 def test_print_with_less_evidence_than_given_is_not_tried(monkeypatch) -> None:
     tried = []
-    monkeypatch.setattr(suggestions, "_count", lambda image, there: tried.append(there) or len(tried))
+    counted = suggestions.MarkerCount(1, 0)
+    monkeypatch.setattr(suggestions, "_count", lambda image, there: tried.append(there[:2]) or counted)
     image = drawn()
     assert len(rank_prints(image, ALL_PRINTS)) > 1
-    assert suggest(image, "4X4_50") is None and tried == []
+    assert suggest(image, "4X4_50") is None and tried == [("4X4_50", MarkerPrint())]
 
 
 def test_each_difference_of_a_print_needs_ten_times_the_evidence() -> None:

@@ -16,7 +16,6 @@ Examples:
 """
 
 import logging
-import time
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -105,9 +104,6 @@ _NAMES_BY_MODULE = {
 """Names imported from each module; a test compares them with the imports above."""
 
 _MODULE_BY_NAME = {name: module for module, names in _NAMES_BY_MODULE.items() for name in names}
-
-STARTED_S = time.time()
-"""Time of day of this import, s since 1970: some hundredths of a second after a command was given."""
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
 

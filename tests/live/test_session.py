@@ -254,7 +254,7 @@ def held_terminal():
     file = os.fdopen(slave, "w")
     yield Console(file=file, force_terminal=True, width=100, height=40)
     termios.tcflow(slave, termios.TCOON)
-    os.close(master)  # Whoever still writes gets an error.
+    os.close(master)  # A writer gets an error from now on.
     for thread in threading.enumerate():
         if thread.name == THREAD:
             thread.join(5.0)

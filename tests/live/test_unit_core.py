@@ -150,7 +150,7 @@ class TestGoals:
         assert "goals" in sent_kinds(unit.see())
 
     def test_sent_after_a_message_that_waited_during_detection(self, make_detections) -> None:
-        """It arrived before the last call; nobody slept."""
+        """It arrived before the last call, and is no sign of sleep."""
         unit = OneUnit(make_detections)
         unit.see()
         unit.hear()

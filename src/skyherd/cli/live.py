@@ -186,9 +186,9 @@ def arm(lab_file: LabFile, settings: Settings = None, insecure: Insecure = False
 
     A stop that is given after the command is not cleared, also while the command is still starting.
     """
-    from skyherd import STARTED_S
     from skyherd.live import operator
     from skyherd.live.live_clock import LiveClock
+    from skyherd.version import STARTED_S
 
     with joined_team(lab_file, settings, insecure) as (lab, radio):
         watched = operator.watch(lab, radio, LiveClock())

@@ -166,7 +166,7 @@ class StopCommand:
         """Repeat the stop if it is due. Return whether all robots have confirmed it."""
         now_s, latch = self._watched.clock(), self._watched.latch
         if not self._watched.signs:
-            self._began_s = now_s  # There was nobody to learn the numbers from.
+            self._began_s = now_s  # There is no process yet to learn the numbers from.
         is_outnumbered = not latch.stopped or latch.stop > self._number
         if is_outnumbered and now_s - self._began_s <= LEARN_S:
             # The operator did not know the team's numbers, and its clock lags.

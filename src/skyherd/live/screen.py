@@ -1,4 +1,4 @@
-"""The terminal of a run. A thread of its own writes to it, because a held terminal blocks whoever writes."""
+"""The terminal of a run. A thread of its own writes to it, because a held terminal blocks its writer."""
 
 import os
 import threading
@@ -21,10 +21,10 @@ CLOSE_S = 2.0
 
 
 class Screen:
-    """Lines, or a dashboard that fills the terminal, written by a thread that nobody waits for.
+    """Lines, or a dashboard that fills the terminal, written by a thread of its own.
 
     A terminal takes no output after Ctrl-S, during a selection, or over a connection that stalls; a pipe
-    takes none while nobody reads. Meanwhile the newest dashboard replaces the others, and new lines wait.
+    takes none while it is full. Meanwhile the newest dashboard replaces the others, and new lines wait.
 
     Args:
         console: terminal of the dashboard; None to print lines instead.
@@ -66,8 +66,13 @@ class Screen:
                 self._print_lines()
                 return
             # Redirected output would take a lock that this thread holds while it writes.
-            redirects = {"redirect_stdout": False, "redirect_stderr": False}
-            with Live(console=self._console, screen=True, auto_refresh=False, **redirects) as live:
+            with Live(
+                console=self._console,
+                screen=True,
+                auto_refresh=False,
+                redirect_stdout=False,
+                redirect_stderr=False,
+            ) as live:
                 self._show_pages(live)
 
     def _print_lines(self) -> None:

@@ -40,9 +40,8 @@ GAP_S = 1.0
 def draw_tracks(recordings: Sequence[GroundTracks], errors: Sequence[ShapeErrors]) -> Figure:
     """Draw the tracks of recordings, one panel each, and below them the shape errors, if any.
 
-    Tracks are in the frame of the first image (`GroundTracks.steady_paths`). A track begins at a small square
-    and ends at a circle with the marker's number. Errors of images with the whole team form a line; errors of
-    fewer robots are pale dots.
+    A track begins at a small square and ends at a circle with the marker's number. Errors of images with the
+    whole team form a line; errors of fewer robots are pale dots.
     """
     shown = [tracks for tracks in recordings if tracks.ids.size] or list(recordings[:1])
     columns = min(len(shown), COLUMNS)
@@ -76,7 +75,8 @@ def _draw_recording(
     axes: Axes, tracks: GroundTracks, colors: dict[int, Array], *, titled: bool, labelled: bool
 ) -> None:
     everything = []
-    for marker, (times_s, path) in tracks.steady_paths().items():
+    for marker in tracks.ids.tolist():
+        times_s, path = tracks.path(marker)
         seen = np.flatnonzero(np.isfinite(path[:, 0]))
         pieces = np.split(seen, np.flatnonzero(np.diff(times_s[seen]) > GAP_S) + 1)
         color = colors[marker]

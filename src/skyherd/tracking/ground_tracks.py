@@ -2,8 +2,7 @@
 
 The marker side is the unit of length unless its size in metres is given. The ground is known up to a
 similarity, which the image fixes: x along +u, y against +v, and the image's centre as the origin. A moving
-camera therefore moves all tracks. It does not affect the shape error. For figures,
-`GroundTracks.steady_paths` removes its motion.
+camera therefore moves all tracks. It does not affect the shape error.
 """
 
 from collections.abc import Iterator
@@ -13,13 +12,9 @@ import numpy as np
 
 from skyherd.analysis.ground import shape_residual
 from skyherd.control import Rectifier, Template
-from skyherd.geometry import Array, ComplexArray, IntArray, to_complex, to_points
+from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.messages import Detections
 from skyherd.poses import ground_covariances, ground_positions
-
-MOVE_STEPS, MIN_MOVE = 20, 1e-4
-"""Steps of the search for a camera's motion, and the least distance in its weights, marker sides. Chosen: far
-below the noise of a detection."""
 
 
 @dataclass(frozen=True)
@@ -92,51 +87,6 @@ class GroundTracks:
         for row, sighting in enumerate(self.sightings):
             positions[row] = _where(sighting, marker)
         return times_s, positions
-
-    def steady_paths(self) -> dict[int, tuple[Array, Array]]:
-        """Return `path` of each marker in the frame of the first image, without the camera's motion."""
-        turns, shifts = self._steady_moves().T
-        steady = {}
-        for marker in self.ids.tolist():
-            times_s, positions = self.path(marker)
-            steady[marker] = times_s, to_points(turns * to_complex(positions) + shifts)
-        return steady
-
-    def _steady_moves(self) -> ComplexArray:
-        """Return rotations `e^{iφ}` and shifts (T, 2) from each image's positions to the first image's frame.
-
-        Each image is moved onto the last known places of its markers, by the rotation and shift with the
-        least sum of distances. Markers at rest determine it, as long as they are the majority; else it is the
-        motion common to most markers.
-        """
-        known: dict[int, complex] = {}
-        moves, turn, shift = [], 1.0 + 0.0j, 0.0 + 0.0j
-        for sighting in self.sightings:
-            ids, places = sighting.seen.ids.tolist(), to_complex(sighting.positions)
-            common = [row for row, marker in enumerate(ids) if marker in known]
-            if len(common) > 1:
-                before = np.array([known[ids[row]] for row in common])
-                turn, shift = _least_move(places[common], before, MIN_MOVE * (self.side_m or 1.0))
-            moves.append((turn, shift))
-            known |= zip(ids, (turn * places + shift).tolist(), strict=True)
-        return np.array(moves, dtype=np.complex128).reshape(-1, 2)
-
-
-def _least_move(places: ComplexArray, before: ComplexArray, min_move: float) -> tuple[complex, complex]:
-    """Return the rotation and the shift of places (N,) with the least sum of distances from places (N,).
-
-    Distances below `min_move` weigh as if they were that long.
-
-    The least sum is found by least squares with weights 1/distance, repeated (Weiszfeld's algorithm).
-    """
-    weights = np.ones(places.size)
-    for _ in range(MOVE_STEPS):
-        source, target = np.average(places, weights=weights), np.average(before, weights=weights)
-        along = np.vdot(places - source, weights * (before - target))
-        turn = complex(along / abs(along)) if abs(along) else 1.0 + 0.0j
-        shift = complex(target - turn * source)
-        weights = 1 / np.maximum(np.abs(turn * places + shift - before), min_move)
-    return turn, shift
 
 
 def _where(sighting: Sighting, marker: int) -> Array:

@@ -409,3 +409,41 @@ def test_candidates_beyond_the_image_leave_the_others_odds(monkeypatch) -> None:
     odds = marker_odds(image, both, "APRILTAG_36h11")
     assert odds.log_odds[0] == -np.inf and odds.log_odds[1] == pytest.approx(alone.log_odds[0])
     assert odds.turns[1] == alone.turns[0] and odds.ids[1] == 301
+
+
+def robots_from_above(margin_cells: float, side_px: float, *, bolts: bool = False, body: float = 25.0):
+    """Return an image of twelve markers on dark robots: cards with a margin, perhaps held by bright bolts."""
+    rng, zoom, cell = np.random.default_rng(4), 4, 20
+    image = np.full((240 * zoom, 320 * zoom), 110.0, dtype=np.float32)
+    for marker in range(12):
+        cells = marker_cells("4X4_50", marker).astype(np.float32)
+        n, pad = len(cells), round(margin_cells * cell)
+        card = np.pad(np.kron(cells, np.ones((cell, cell), np.float32)), pad, constant_values=1.0)
+        robot = np.pad(30 + 190 * card, 2 * cell, constant_values=body)
+        if bolts:
+            low, high = 2 * cell + pad + cell // 2, len(robot) - 1 - 2 * cell - pad - cell // 2
+            for u, v in ((low, low), (low, high), (high, low), (high, high)):
+                cv2.circle(robot, (u, v), round(0.45 * cell), 225.0, cv2.FILLED)
+        column, row = marker % 4, marker // 4
+        center = zoom * np.array([40 + 80 * column, 40 + 80 * row]) + rng.uniform(-8, 8, 2)
+        to_image = cv2.getRotationMatrix2D((0, 0), rng.uniform(0, 360), zoom * side_px / (n * cell))
+        to_image[:, 2] = center - to_image[:, :2] @ np.full(2, (len(robot) - 1) / 2)
+        how = {"flags": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_TRANSPARENT}
+        cv2.warpAffine(robot.astype(np.float32), to_image, image.shape[::-1], dst=image, **how)
+    small = cv2.GaussianBlur(cv2.resize(image, (320, 240), interpolation=cv2.INTER_AREA), (0, 0), 0.6)
+    return np.clip(np.rint(small + rng.normal(0, 2, small.shape)), 0, 255).astype(np.uint8)
+
+
+def found_on_robots(**how) -> list[int]:
+    return PhotometricDetector("4X4_50", following=False).detect(robots_from_above(**how)).ids.tolist()
+
+
+def test_narrow_cards_on_dark_robots_are_found(monkeypatch) -> None:
+    """The margin is a fifth of a cell, 0.7 px; wide cards explain nothing there."""
+    assert len(found_on_robots(margin_cells=0.2, side_px=22.0)) >= 11
+    monkeypatch.setattr(likelihood, "CLEAR_CELL_CORRELATION", 2.0)
+    assert len(found_on_robots(margin_cells=0.2, side_px=22.0)) < 6
+
+
+def test_bright_bolts_in_the_corners_hide_no_marker() -> None:
+    assert len(found_on_robots(margin_cells=0.6, side_px=40.0, bolts=True)) >= 11

@@ -85,6 +85,11 @@ MIN_CELL_CORRELATION = 0.65
 accepted markers have 0.73 or more under odd conditions (tuning seeds), and those that are worth another fit
 0.68; half of the clutter on photographs has less. Chosen below these."""
 
+CLEAR_CELL_CORRELATION = 0.9
+"""Correlation from which on a candidate is compared with all hypotheses, whatever wide cards leave of it: on
+a dark robot with a narrow card, they explain nothing. Measured: 568 of 668 such candidates on black robots
+with margins of 0.2 cells have it, and of 2,200 that wide cards leave without hope on photographs 43."""
+
 FIRST_CODES, FIRST_LOG_ODDS, MAX_FIRST_STD = 2, (3.0, 1.0), 0.25
 """Number of codes that are compared first, without narrow cards; the log odds against the other code and
 against bits by chance, and the noise, share of the readings' range, beyond which nothing else is compared.
@@ -235,7 +240,8 @@ def _odds_of_readings(readings: Readings, dictionary: str) -> MarkerOdds:
     if not alike.size:
         return odds
     first = _odds_of_codes(readings.take(alike), codes[alike, :FIRST_CODES], dictionary, first=True)
-    odds, likely = odds.put(alike, first), alike[_is_hopeful(first)]
+    is_likely = _is_hopeful(first) | (correlations[alike] >= CLEAR_CELL_CORRELATION)
+    odds, likely = odds.put(alike, first), alike[is_likely]
     if not likely.size:
         return odds
     return odds.put(likely, _odds_of_codes(readings.take(likely), codes[likely], dictionary))
@@ -313,6 +319,8 @@ def _odds_of_codes(
 def _contradictions(readings: Readings, white: BoolArray) -> Array:
     """Return the share (N,) of cells that their neighbours show in another colour than codes (N, n, n) have.
 
+    Corners of the border do not count: there robots have the bolts that hold their card.
+
     Under a hard shadow a code can explain the lit half and take all of the shaded half for black. Each cell
     is therefore also compared with the darkest and brightest of the cells around it, where these differ.
     """
@@ -322,6 +330,7 @@ def _contradictions(readings: Readings, white: BoolArray) -> Array:
     differ = bright - dark > MIN_LOCAL_RANGE * readings.ranges[:, None, None]
     differ &= readings.cells_seen[:, 1:-1, 1:-1] > 0.5
     wrong = (cells[:, 1:-1, 1:-1] > (dark + bright) / 2) != white
+    wrong[:, :: white.shape[1] - 1, :: white.shape[2] - 1] = False
     return np.asarray((wrong & differ).mean(axis=(1, 2)))
 
 

@@ -28,14 +28,14 @@ from skyherd.vision.diagnosis.reasons import (
 )
 from skyherd.vision.diagnosis.wording import WORDS, describe
 from skyherd.vision.grey import Image, check_grey
-from skyherd.vision.photometric.candidates import SearchPass
+from skyherd.vision.photometric.candidates import SearchPass, may_be_cut
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.evidence.likelihood import marker_odds, min_log_odds
 from skyherd.vision.photometric.fitting.fit_result import no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.measure import fit_alone
-from skyherd.vision.photometric.verify import Quantity, verification_tests
+from skyherd.vision.photometric.verify import STRONG_DISTANCE, Quantity, verification_tests
 from skyherd.vision.row_record import RowRecord
 from skyherd.vision.search.edges import fit_edges
 
@@ -169,11 +169,12 @@ def _likely(
     there = Counter(detections.ids.tolist())
     exact = [good or _is_exact(reading) for good, reading in zip(suspects.good, readings, strict=True)]
     there.update(reading.nearest_id for reading, counts in zip(readings, exact, strict=True) if counts)
+    are_parts = _are_parts(image, dictionary, searches, fitted_px)
     likely = []
     for row, reading in enumerate(readings):
         log_odds, fitted = float(odds.log_odds[row]), bool(suspects.fits[row] >= 0)
         seen, good = bool(suspects.seen[row]), bool(suspects.good[row])
-        suspect = Suspect(reading, seen, fitted, good, failures[row], log_odds)
+        suspect = Suspect(reading, seen, fitted, good, failures[row], log_odds, bool(are_parts[row]))
         reason, measured = find_reason(suspect, again=there[reading.nearest_id] > 1)
         if reason is not Reason.NO_BITS:
             rival = RIVALS[int(np.argmin(np.nan_to_num(odds.against[row], nan=np.inf)))]
@@ -289,6 +290,16 @@ def _fitted(
     shapes = first.fits.joined(second.fits).joined(more).homographies.take(numbers[rows])
     corners_px[rows] = to_points(shapes.images(SQUARE_CORNERS))
     return corners_px, [None if number < 0 else failures[number] for number in numbers.tolist()]
+
+
+def _are_parts(
+    image: Image, dictionary: str, searches: tuple[SearchPass, SearchPass], fitted_px: Array
+) -> BoolArray:
+    """Return which markers at corners (N, 4, 2), px, count as a part of one that the border cuts."""
+    if code_distance(dictionary) >= STRONG_DISTANCE:
+        return np.zeros(len(fitted_px), dtype=bool)
+    shapes = LocalHomographies.of_corners(fitted_px)
+    return may_be_cut(shapes, searches[1].plane, image.shape[::-1])
 
 
 def _are_cut(image: Image, quads_px: Array) -> BoolArray:

@@ -82,6 +82,7 @@ class Reason(Enum):
     TOO_WHITE = "white too bright"
     BLURRED = "too blurred"
     CUT = "cut by the border"
+    PART = "perhaps a part of another"
     OBLIQUE = "too oblique"
     TOO_NEAR = "too near at a slant"
     NOISY = "too noisy"
@@ -151,6 +152,7 @@ class Suspect:
         good: whether the fit is verified.
         failed: the first test that the fit fails; None without a fit, or if it fails none.
         log_odds: natural logarithm of the odds that it is a marker; -inf if that is hopeless.
+        is_part: whether it may be the part of a marker that the border cuts.
     """
 
     reading: Reading
@@ -159,6 +161,7 @@ class Suspect:
     good: bool = False
     failed: tuple[Quantity, Measured] | None = None
     log_odds: float = -math.inf
+    is_part: bool = False
 
 
 def failed_test(tests: list[FitTest], row: int) -> tuple[Quantity, Measured] | None:
@@ -219,6 +222,8 @@ def find_reason(suspect: Suspect, *, again: bool) -> tuple[Reason, Measured | No
         return Reason.NO_QUIET_ZONE, Measured("edges without a white margin", dark, 0.0)
     if reading.wrong_bits and (not suspect.fitted or _is_cell(suspect.failed)):
         return Reason.WRONG_BITS, Measured("wrong cells", reading.wrong_bits, 0.0)
+    if suspect.is_part and suspect.failed is None:
+        return Reason.PART, None
     return _test_reason(suspect.failed)
 
 

@@ -24,6 +24,8 @@ WORDS = {
     Reason.TOO_WHITE: "{measured} ({like}): expose for less time, or less glare",
     Reason.BLURRED: "{measured} ({like}): focus, expose for less time, or print larger",
     Reason.CUT: "{measured} ({like}): all of it must be in the picture, with its white margin",
+    Reason.PART: "half of a marker that the border cuts looks the same ({like}): all of it must be in the "
+    "picture, and a marker seen at a slant farther from the border",
     Reason.OBLIQUE: "{measured}, seen at {tilt_deg:.0f} deg ({like}): look from nearer to straight above",
     Reason.TOO_NEAR: "{measured} ({like}): look from farther away, or from nearer to straight above",
     Reason.NOISY: "{measured} ({like}): more light, fly lower or print larger",

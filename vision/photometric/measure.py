@@ -128,8 +128,8 @@ def measure_candidates(
         image, dictionary, fits, plane, start, candidates.corners_px, known_plane
     )
     if code_distance(dictionary) < STRONG_DISTANCE:
-        is_known = plane.shared and np.count_nonzero(good) >= MIN_MARKERS_ON_PLANE
-        good &= ~may_be_cut(fits.homographies, plane if is_known else Plane(), image.shape[::-1])
+        seen_plane = plane if np.count_nonzero(good) >= MIN_MARKERS_ON_PLANE else known_plane
+        good = good & ~may_be_cut(fits.homographies, seen_plane, image.shape[::-1])
     found = fits.take(good)
     shapes, merits = found.homographies, found.qualities - found.noise_stds / GREY_LEVELS
     good, sides_px = good.copy(), shapes.sides_px()

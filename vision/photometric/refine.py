@@ -304,10 +304,10 @@ on 107 photographs with evidence of a streak: after the first round it is 1.03 a
 it below 1, and up to 3.8 where none does."""
 
 STREAK_ROUNDS, SETTLED_SHARE, SETTLED_SIGNIFICANCE = 4, 0.05, 1.0
-"""Markers are fitted under a streak so often at most, until it changes by less than this share, or until the
-chi-squared falls by less than the last number. Chosen: what is left is of second order in the change, or
-within the streak's standard deviation. Measured on 201 photographs: the last one saves a third of the time of
-streaks; all 2,348 markers are found, and one in 80 moves by more than its standard deviation."""
+"""Largest number of fits under a streak. They end when it changes by less than the share, or when the
+chi-squared falls by less than the last number. Chosen: the rest is of second order in the change, or within
+the streak's standard deviation. Measured on 201 photographs: the last one saves a third of the time of
+streaks. All 2,348 markers are found, and one in 80 moves by more than its standard deviation."""
 
 
 def with_streak(

@@ -8,7 +8,7 @@ import pytest
 
 from skyherd.geometry import to_complex, to_points
 from skyherd.markers.dictionary import corners_of_pose, marker_cells
-from skyherd.vision import PhotometricDetector
+from skyherd.vision import PhotometricDetector, Reason, explain
 from skyherd.vision.photometric import measure
 from skyherd.vision.photometric.candidates import find_candidates, may_be_cut, within_better
 from skyherd.vision.photometric.detector import CLEAR_CORRELATION
@@ -202,16 +202,31 @@ def test_rhombus_is_no_part_of_a_marker() -> None:
     assert not may_be_cut(rhombus, Plane(), (200, 160)).any()
 
 
-def test_half_of_a_cut_marker_is_no_other_marker(monkeypatch) -> None:
-    """The right half of marker 22 is marker 17 at 60 degrees; only the border says that it is not."""
+@pytest.fixture
+def half_of_22():
+    """An image in which the border cuts marker 22; its right half is marker 17 at 60 degrees."""
     cells = np.pad(marker_cells(DICTIONARY, 22).astype(float), 1, constant_values=1.0)
     image = np.full((200, 200), 130.0)
     image[60:124, :48] = 255 * np.kron(cells, np.ones((8, 8)))[:, 16:]
-    image = np.rint(cv2.GaussianBlur(image, (0, 0), 0.7)).astype(np.uint8)
+    return np.rint(cv2.GaussianBlur(image, (0, 0), 0.7)).astype(np.uint8)
+
+
+def test_half_of_a_cut_marker_is_no_other_marker(half_of_22, monkeypatch) -> None:
     detect = PhotometricDetector(DICTIONARY, following=False).detect
-    assert not detect(image).ids.size
+    assert not detect(half_of_22).ids.size
+    (found,) = explain(half_of_22, DICTIONARY)
+    assert found.reason is Reason.PART and "half of a marker" in found.words and "id 17" in found.words
     monkeypatch.setattr(measure, "may_be_cut", lambda shapes, *rest: np.zeros(len(shapes), dtype=bool))
-    assert detect(image).ids.tolist() == [17]
+    assert detect(half_of_22).ids.tolist() == [17]
+
+
+@pytest.mark.parametrize(("shared", "ids"), [(True, [17]), (False, [])])
+def test_other_markers_show_that_a_narrow_one_is_whole(half_of_22, shared, ids) -> None:
+    """The plane that they lie on is tilted about a vertical axis."""
+    _, seen = PhotometricDetector(DICTIONARY, following=False).searches(half_of_22)
+    given = half_of_22, DICTIONARY, CameraState(), seen.quads_px, seen.candidates
+    searched = measure_candidates(*given, Plane(-1 / 3 + 0j, shared=shared))
+    assert searched.found.ids.tolist() == ids
 
 
 @pytest.mark.parametrize(("keystone", "is_found"), [(0.3, True), (0.8, False)])

@@ -220,7 +220,7 @@ class TestArm:
         assert outcome.failure == ("" if clears else "a stop is newer than this command")
 
     def test_does_not_clear_a_stop_that_it_hears_meanwhile(self) -> None:
-        """It is from a clock that is far behind, so that its number tells nothing."""
+        """Its clock is far behind, so that its number says nothing about its time."""
         team = ScriptedTeam()
         other = watch(LAB, team.air.radio("other"), lambda: team.now_s - 500.0, "other")
         StopCommand(LAB, other, "test")

@@ -4,13 +4,14 @@ import http.client
 import io
 import os
 import pty
+import subprocess
 import sys
 import termios
 import threading
 import time
 import tty
 from collections import deque
-from contextlib import closing, suppress
+from contextlib import closing, nullcontext, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,12 +24,13 @@ from skyherd.live.cameras import check_camera
 from skyherd.live.cockpit import PageAddress
 from skyherd.live.lab import load_lab
 from skyherd.live.mailbox import Air, Mailbox
-from skyherd.live.operator import watch
+from skyherd.live.operator import Outcome, watch
 from skyherd.live.screen import THREAD
 from skyherd.live.session import MAX_KEYS, _dashboard, _keys, _processes, _windows_key, run_session
 from skyherd.live.supervisor import Child, Supervisor
 from skyherd.live.wire import Heartbeat
 from skyherd.report.access import bind
+from skyherd.version import STARTED_S
 
 
 @pytest.fixture(autouse=True)
@@ -157,15 +159,51 @@ def test_run_without_units_or_robots_ends_with_exit_code(
         program = next((text for begin, text in programs.items() if name.startswith(begin)), STAYS)
         supervisor.take(Child(name, [sys.executable, "-c", program, str(folder)]))
 
+    left: list[int] = []
     monkeypatch.setattr(Supervisor, "add", add)
     monkeypatch.setattr("skyherd.live.session.ZenohRadio", Silence)
+    monkeypatch.setattr("skyherd.live.screen.leave_held_terminal", left.append)
     streams = "tcp://127.0.0.1:9,tcp://127.0.0.1:9"
     found, out, _ = call(capsys, "live", "run", "webcams", "--out", folder, "--cameras", streams)
-    assert found == code
+    assert found == code and left == [code]
     for text in (out, (folder / "live.log").read_text()):
         printed = [line.partition(" live ")[2].strip() for line in text.splitlines()]
         printed = [line for line in printed if "left" in line or "code" in line]
         assert len(printed) == len(lines) and all(map(str.startswith, printed, lines)), printed
+
+
+HELD_TO_THE_END = """
+import os, pty, sys, termios
+from skyherd.live import screen
+master, slave = pty.openpty()
+termios.tcflow(slave, termios.TCOOFF)
+file = os.fdopen(slave, "w")
+screen.CLOSE_S = 0.2
+shown = screen.Screen(None, lambda line: (file.write(line), file.flush()))
+shown.tell("a line")
+assert not shown.close()
+screen.leave_held_terminal(7)
+sys.exit("the process went on")
+"""
+
+
+def test_process_leaves_a_terminal_that_is_held_to_the_end() -> None:
+    ended = subprocess.run([sys.executable, "-c", HELD_TO_THE_END], timeout=60, check=False)
+    assert ended.returncode == 7
+
+
+def test_arm_is_given_when_its_process_starts(capsys, monkeypatch) -> None:
+    given: list[float] = []
+
+    def arm(lab, watched, *, given_s):
+        given.append(given_s)
+        return Outcome(lab.ids, {})
+
+    team = nullcontext((load_lab("triangle"), Silence()))
+    monkeypatch.setattr("skyherd.cli.live.joined_team", lambda *options: team)
+    monkeypatch.setattr("skyherd.live.operator.arm", arm)
+    assert call(capsys, "live", "arm", "triangle")[0] == 0
+    assert given == [STARTED_S]
 
 
 def post_stop(url: str) -> int:

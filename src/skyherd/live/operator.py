@@ -148,8 +148,8 @@ class StopCommand:
     """Command that stops and disarms all robots, and latches the stop in every process of the team.
 
     A robot confirms the stop by a heartbeat that carries its number, or a newer one, and reports the robot
-    disarmed. Heartbeats sent before the stop do not confirm it: if the team turns out to know a number that
-    is not lower, such as of an operator whose clock is ahead, the stop gets a higher one.
+    disarmed. Heartbeats sent before the stop do not confirm it: if the team turns out to know a higher
+    number, such as of an operator whose clock is ahead, the stop gets one above that.
 
     Args:
         lab: the set-up.

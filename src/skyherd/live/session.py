@@ -120,8 +120,8 @@ def run_session(
             if ended():
                 supervisor.say("live", "interrupted; ending all processes")
         finally:
+            screen.draw(Text("stopping the team and ending all processes"))
             operator.stop(lab, watched, "the end", 0.3)
-            screen.draw(Text("the team was stopped; ending all processes"))
             closing_lines = _closing_lines(supervisor)
             for line in closing_lines:
                 supervisor.say("live", line)
@@ -129,10 +129,10 @@ def run_session(
             cockpit.close()
             radio.close()
             is_held = not screen.close()
-    # Without a dashboard, the first lines have been printed.
-    last_lines = [*closing_lines * console.is_terminal, *[f"still running: {', '.join(left)}"] * bool(left)]
-    last_lines.append(f"recorded in {folder}; `skyherd report {folder}` makes a report")
-    for line in () if is_held else last_lines:
+    last_lines = closing_lines if console.is_terminal else []  # They have been printed without a dashboard.
+    last_lines += [f"still running: {', '.join(left)}"] if left else []
+    last_lines += [f"recorded in {folder}; `skyherd report {folder}` makes a report"]
+    for line in [] if is_held else last_lines:
         say(line)
     return WRONG if supervisor.refused else int(bool(left))
 
@@ -346,7 +346,7 @@ def _keys() -> Iterator[Callable[[], str]]:
     """Yield a function that returns the key pressed since the last call, or an empty string.
 
     Of several keys the last one counts, but the space bar has priority: no stop is lost. Without a terminal
-    no key is returned. No terminal that is held is waited for.
+    no key is returned. A held terminal delays nothing here.
     """
     if not sys.stdin.isatty():
         yield lambda: ""

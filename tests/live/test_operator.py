@@ -8,7 +8,7 @@ from skyherd.live.lab import load_lab
 from skyherd.live.mailbox import Air, Mailbox
 from skyherd.live.operator import REPEAT_S, SETTLE_S, ArmCommand, Outcome, StopCommand, arm, stop, watch
 from skyherd.live.session import Session, outcome_lines
-from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch
+from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch, stop_number
 from skyherd.live.wire import Arm, Heartbeat, Stop
 
 LAB = load_lab("triangle")
@@ -132,28 +132,29 @@ class TestStop:
 
     def test_lagging_operator_clock_learns_the_numbers(self) -> None:
         team = ScriptedTeam()
-        ahead = StopLatch(stop=10**12, cleared=10**12)
+        ahead = StopLatch(stop_number(1e6), stop_number(1e6))
         for robot in team.robots.values():
             robot.latch, robot.armed = ahead, True
         outcome = stop(LAB, team.watched, "test")
-        assert outcome.is_complete and team.watched.latch.stop == 10**12 + 1
+        assert outcome.is_complete and team.watched.latch.stop == stop_number(1e6 + 0.001, team.watched.tag)
 
     @pytest.mark.parametrize("lag_s", [0.0, 5.0])
     def test_never_confirmed_by_the_number_of_an_earlier_stop(self, lag_s) -> None:
         """The team stands since an earlier stop, whose operator arms it without hearing of this one."""
         team = ScriptedTeam(start_s=1000.0 - lag_s)
+        earlier = NO_COMMAND.with_stop(998.0, 0)
         for robot in team.robots.values():
-            robot.latch = StopLatch(stop=998_000)
+            robot.latch = earlier
         outcome = stop(LAB, team.watched, "test")
         assert outcome.is_complete
-        armed_by_the_other = StopLatch(stop=998_000, cleared=998_000)
-        assert all(robot.latch.merge(armed_by_the_other).stopped for robot in team.robots.values())
+        assert all(robot.latch.merge(earlier.with_arm()).stopped for robot in team.robots.values())
 
     def test_learns_the_numbers_once_somebody_is_heard(self) -> None:
         """The radio is up later than an operator needs to learn the numbers of a team that it hears."""
         team = ScriptedTeam()
+        ahead = stop_number(2000.0)
         for robot in team.robots.values():
-            robot.latch, robot.armed, robot.frozen = StopLatch(2_000_000, 2_000_000), True, True
+            robot.latch, robot.armed, robot.frozen = StopLatch(ahead, ahead), True, True
         command = StopCommand(LAB, team.watched, "test")
         for step in range(60):
             if step == 40:
@@ -161,7 +162,7 @@ class TestStop:
                     robot.frozen = False
             team.pass_time(0.05)
             command.advance()
-        assert command.outcome().is_complete and team.watched.latch.stop > 2_000_000
+        assert command.outcome().is_complete and team.watched.latch.stop > ahead
 
     def test_override_by_newer_arm_reported(self) -> None:
         team = ScriptedTeam()
@@ -201,19 +202,20 @@ class TestArm:
         assert command.outcome().done == []
 
     @pytest.mark.parametrize(
-        ("stop_number", "clears"),
+        ("stop_s", "clears"),
         [
-            pytest.param(997_500, True, id="before the command"),
-            pytest.param(998_500, False, id="while it started"),
-            pytest.param(1_000_500, False, id="by a clock that is a little ahead"),
-            pytest.param(4_600_000, True, id="by a clock that is an hour ahead"),
+            pytest.param(997.5, True, id="before the command"),
+            pytest.param(998.0, False, id="in the same millisecond"),
+            pytest.param(998.5, False, id="while it started"),
+            pytest.param(1000.5, False, id="by a clock that is a little ahead"),
+            pytest.param(4600.0, True, id="by a clock that is an hour ahead"),
         ],
     )
-    def test_does_not_clear_a_stop_that_was_given_since(self, stop_number, clears) -> None:
+    def test_does_not_clear_a_stop_that_was_given_since(self, stop_s, clears) -> None:
         """The command was given at 998 s, and its process listens from 1000 s on."""
         team = ScriptedTeam()
         for robot in team.robots.values():
-            robot.latch = StopLatch(stop=stop_number)
+            robot.latch = NO_COMMAND.with_stop(stop_s, 0)
         outcome = arm(LAB, team.watched, given_s=998.0)
         assert all(robot.armed == clears for robot in team.robots.values())
         assert team.watched.latch.stopped != clears

@@ -57,7 +57,7 @@ class Scene:
         self.core.receive(Envelope("operator", self.now_s, arm, latch=latch), self.now_s)
 
     def stop(self) -> None:
-        latch = self.core.latch.with_stop(self.now_s)
+        latch = self.core.latch.with_stop(self.now_s, 0)
         self.core.receive(Envelope("operator", self.now_s, Stop("test"), latch=latch), self.now_s)
 
     def see(self, age_s: float = 0.0, repeated=()) -> None:

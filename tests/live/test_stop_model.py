@@ -28,9 +28,9 @@ Numbers do not cover one case of confirmed stops, and the checks exclude exactly
 Processes keep only the largest number, so that the cleared stop hides the first one. No rule for one largest
 number avoids that.
 
-Two independent stops with equal numbers are one stop for all processes, and neither is issued again. So one
-confirms the other, and one arm command clears both. Numbers that differ between operators would avoid that.
-`test_equal_numbers_break_the_guarantee` shows this limitation of the code.
+The operators have different tags, so that their stops have different numbers.
+`test_equal_numbers_break_the_guarantee` shows why: two independent stops with equal numbers are one stop for
+all processes, so that one confirms the other and one arm command clears both.
 """
 
 import math
@@ -44,7 +44,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from skyherd.live.operator import LEARN_S, ArmCommand, Sign, StopCommand, Watch
-from skyherd.live.stop_latch import NO_COMMAND, ArmState, StopLatch
+from skyherd.live.stop_latch import NO_COMMAND, TAGS, ArmState, StopLatch
 from skyherd.live.wire import Arm, Heartbeat, Stop
 
 FRESH = ArmState()
@@ -107,7 +107,7 @@ class Rules:
     """Rules of the processes. Each negative control breaks one of them."""
 
     def stop(self, known: StopLatch) -> StopLatch:
-        return known.with_stop(0.0)
+        return known.with_stop(0.0, 0)
 
     def arm(self, known: StopLatch) -> StopLatch:
         return known.with_arm()
@@ -251,7 +251,7 @@ class ArmOutranks(Rules):
     """Broken rule: an arm command clears stops that its sender does not know."""
 
     def arm(self, known: StopLatch) -> StopLatch:
-        return replace(known, cleared=max(known.stop, known.cleared) + 1)
+        return replace(known, cleared=max(known.stop, known.cleared) + TAGS)
 
 
 class NewestMessageWins(Rules):
@@ -410,26 +410,26 @@ class Unit(NamedTuple):
 
 @dataclass(frozen=True)
 class Setup:
-    """The clock of each operator, ms, and the initial state of the team.
+    """The clock of each operator, ms, its tag, and the initial state of the team.
 
     Attributes:
         clocks_ms: constant time of day of each operator.
+        tags: tag of each operator.
         stops: number of stop commands.
         arms: number of arm commands.
         is_armed: whether the robot is armed by an earlier command.
         has_unit: whether a unit relays the numbers and sends goals.
         reissues: number of times that each stop may be issued again.
-        ignores_ties: whether the checks exclude independent stops with equal numbers.
         ignores_unseen: whether the checks exclude the case that numbers do not cover.
     """
 
     clocks_ms: tuple[int, int]
+    tags: tuple[int, int] = (0, 1)
     stops: int = 2
     arms: int = 1
     is_armed: bool = False
     has_unit: bool = False
     reissues: int = 1
-    ignores_ties: bool = False
     ignores_unseen: bool = True
 
 
@@ -454,10 +454,10 @@ FIRST_SIGN = Packet("heartbeat", NO_COMMAND, 0, session=0)
 """The robot's first heartbeat, which every operator has received."""
 
 
-def watching(latch: StopLatch, sign: Packet, time_s: float) -> tuple[Watch, Outbox]:
+def watching(latch: StopLatch, sign: Packet, time_s: float, tag: int) -> tuple[Watch, Outbox]:
     """Return the real view of an operator that knows a latch and the robot's last heartbeat."""
     outbox: Any = Outbox()
-    outbox.watched = Watch(outbox, lambda: time_s, latch)
+    outbox.watched = Watch(outbox, lambda: time_s, latch, tag=tag)
     heartbeat = Heartbeat({}, session=str(sign.session), armed=sign.armed, ready=True)
     outbox.watched.signs[ROBOT] = Sign(heartbeat, sign.latch, time_s, time_s)
     return outbox.watched, outbox
@@ -468,10 +468,10 @@ class OperatorRules:
     """Rules of the operators, by the real commands. Each negative control breaks one of them."""
 
     def advance(
-        self, latch: StopLatch, sign: Packet, number: int, is_learning: bool, time_s: float
+        self, latch: StopLatch, sign: Packet, number: int, is_learning: bool, time_s: float, tag: int
     ) -> tuple[bool, int, Sent]:
         """Advance a stop command. Return whether it is finished, its number, and the messages."""
-        watched, outbox = watching(latch, sign, time_s)
+        watched, outbox = watching(latch, sign, time_s, tag)
         command = object.__new__(StopCommand)
         began_s = time_s if is_learning else time_s - 2 * LEARN_S
         vars(command).update(_lab=LAB, _watched=watched, _why="", _began_s=began_s, _sent_s=-math.inf)
@@ -483,7 +483,7 @@ class OperatorRules:
         self, latch: StopLatch, sign: Packet, known: StopLatch | None, time_s: float
     ) -> tuple[StopLatch, Sent]:
         """Advance an arm command. Return the operator's latch and the messages."""
-        watched, outbox = watching(latch, sign, time_s)
+        watched, outbox = watching(latch, sign, time_s, 0)
         ArmCommand(LAB, watched, known).advance()
         return watched.latch, outbox.sent
 
@@ -648,7 +648,7 @@ class TeamModel:
         running = operator.running
         is_learning = running.seen is None
         is_finished, number, sent = self._rules.advance(
-            operator.latch, sign, running.number, is_learning, time_s
+            operator.latch, sign, running.number, is_learning, time_s, self._setup.tags[who]
         )
         if number != running.number:
             if not running.reissues:
@@ -676,7 +676,7 @@ class TeamModel:
         operator = self._items[number]
         actions = []
         if stops:
-            latch = operator.latch.with_stop(self._setup.clocks_ms[who] / 1000)
+            latch = operator.latch.with_stop(self._setup.clocks_ms[who] / 1000, self._setup.tags[who])
             actions.append(
                 (stops - 1, arms, *self._numbered(issued(who, operator, latch, self._setup.reissues)))
             )
@@ -699,9 +699,7 @@ class TeamModel:
             if isinstance(stop, Confirmed) and robot.state.armed and not stop.bit & robot.armed_by:
                 known = [one for one in issues if one.bit & robot.armed_by]
                 is_unseen = any(not one.bit & stop.seen and one.number >= stop.number for one in known)
-                is_tied = any(one.number == stop.number for one in known)
-                is_excluded = is_unseen and self._setup.ignores_unseen
-                if not (is_excluded or (is_tied and self._setup.ignores_ties)):
+                if not (is_unseen and self._setup.ignores_unseen):
                     found.add(CONFIRMED)
         latch = NO_COMMAND
         for number in self.members(network):
@@ -751,10 +749,11 @@ def test_stop_holds_with_clocks_that_disagree(setup) -> None:
     [
         DISAGREEING,
         replace(DISAGREEING, reissues=2),
-        Setup((2, 2), ignores_ties=True),
+        Setup((2, 2)),
+        Setup((2, 2), tags=(1, 0)),
         replace(DISAGREEING, stops=1, arms=2, has_unit=True),
         replace(DISAGREEING, has_unit=True),
-        replace(DISAGREEING, arms=2, ignores_ties=True),
+        replace(DISAGREEING, arms=2),
     ],
 )
 def test_stop_holds_with_clocks_in_longer_orders(setup) -> None:
@@ -766,18 +765,18 @@ class NoReissue(OperatorRules):
     """Broken rule: a stop keeps its number, so that an earlier stop confirms it."""
 
     def advance(
-        self, latch: StopLatch, sign: Packet, number: int, is_learning: bool, time_s: float
+        self, latch: StopLatch, sign: Packet, number: int, is_learning: bool, time_s: float, tag: int
     ) -> tuple[bool, int, Sent]:
-        return super().advance(latch, sign, number, False, time_s)
+        return super().advance(latch, sign, number, False, time_s, tag)
 
 
 class AnyHeartbeatConfirms(OperatorRules):
     """Broken rule: every heartbeat of a disarmed robot confirms a stop."""
 
     def advance(
-        self, latch: StopLatch, sign: Packet, number: int, is_learning: bool, time_s: float
+        self, latch: StopLatch, sign: Packet, number: int, is_learning: bool, time_s: float, tag: int
     ) -> tuple[bool, int, Sent]:
-        _, number, sent = super().advance(latch, sign, number, is_learning, time_s)
+        _, number, sent = super().advance(latch, sign, number, is_learning, time_s, tag)
         return not sign.armed, number, sent
 
 
@@ -797,7 +796,7 @@ class ArmClearsUnknownStops(OperatorRules):
         self, latch: StopLatch, sign: Packet, known: StopLatch | None, time_s: float
     ) -> tuple[StopLatch, Sent]:
         latch, sent = super().arm(latch, sign, known, time_s)
-        return latch, [(message, replace(carried, cleared=100)) for message, carried in sent]
+        return latch, [(message, replace(carried, cleared=100 * TAGS)) for message, carried in sent]
 
 
 @pytest.mark.parametrize(
@@ -824,5 +823,5 @@ def test_unseen_stop_of_a_clock_ahead_needs_exclusion() -> None:
 
 
 def test_equal_numbers_break_the_guarantee() -> None:
-    _, found = TeamModel(Setup((2, 2)), OperatorRules()).explore()
+    _, found = TeamModel(Setup((2, 2), tags=(0, 0)), OperatorRules()).explore()
     assert found == CONFIRMED

@@ -8,7 +8,7 @@ from typing import Protocol
 from skyherd.live.lab import Lab
 from skyherd.live.mailbox import Arrival, Mailbox, Radio
 from skyherd.live.peers import Instances
-from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch
+from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch, new_tag, stop_number
 from skyherd.live.wire import Arm, Heartbeat, Stop
 
 REPEAT_S = 0.2
@@ -58,6 +58,7 @@ class Watch:
         latch: commands known to the operator.
         signs: the last heartbeat of each process, by name.
         stop_heard_s: time at which the last stop command of another operator was heard.
+        tag: the operator's part of the numbers of its stops.
     """
 
     mailbox: Mailbox
@@ -65,6 +66,7 @@ class Watch:
     latch: StopLatch = NO_COMMAND
     signs: dict[str, Sign] = field(default_factory=dict)
     stop_heard_s: float = -math.inf
+    tag: int = field(default_factory=new_tag)
     _instances: dict[str, Instances] = field(default_factory=dict)
 
     def listen(self, timeout_s: float) -> None:
@@ -184,9 +186,10 @@ class StopCommand:
 
     def _issue(self) -> None:
         """Give the stop a new number, and send it."""
-        self._watched.latch = self._watched.latch.with_stop(self._watched.clock())
-        self._number = self._watched.latch.stop
-        self._watched.mailbox.send(Stop(self._why))
+        watched = self._watched
+        watched.latch = watched.latch.with_stop(watched.clock(), watched.tag)
+        self._number = watched.latch.stop
+        watched.mailbox.send(Stop(self._why))
 
     def _has_stopped(self, robot: int) -> bool:
         sign = self._watched.robot_sign(robot)
@@ -270,7 +273,8 @@ def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S, *, given_s: float 
     # An arm command clears only stops that its sender knows, so the operator learns the numbers first.
     while watched.clock() - began_s < LEARN_S and len(watched.alive()) < len(lab.ids):
         watched.listen(0.05)
-    is_since = 1000 * given_s < watched.latch.stop <= 1000 * (watched.clock() + CLOCK_ERROR_S)
+    latest = stop_number(watched.clock() + CLOCK_ERROR_S)
+    is_since = stop_number(given_s) <= watched.latch.stop <= latest
     known = NO_COMMAND if is_since or watched.stop_heard_s >= began_s else None
     return _insist(ArmCommand(lab, watched, known), watched, settle_s)
 

@@ -6,8 +6,9 @@ every message. Message loss, latency, repetition and reordering affect only the 
 a number.
 
 - The team is *stopped* while the newest stop is not cleared.
-- The number of a stop exceeds all numbers that its sender knows, and is at least the sender's time of day in
-  milliseconds. An operator that has just started therefore outranks all earlier commands.
+- The number of a stop is a time of day in milliseconds, followed by the tag of its operator. It exceeds all
+  numbers that its sender knows, and its time is at least the sender's. An operator that has just started
+  therefore outranks all earlier commands. Operators with different tags never give equal numbers.
 - An arm command clears only the newest stop that its sender knows. It never overrides an unknown stop.
 - A robot is armed (`ArmState`) until it learns of a stop that its arm command did not clear. A restarted
   robot is disarmed, and arm commands for its former session have no effect.
@@ -16,11 +17,25 @@ docs/live/safety.md lists states, transitions and guarantees. tests/live/test_st
 every order of delivery.
 """
 
+import secrets
 from dataclasses import dataclass, replace
 
 MAX_STOP = 2**53 - 1
-"""Largest stop number, which no arm command clears. Derived: every JSON reader keeps integers up to it.
-Milliseconds since 1970 reach it in 285,000 years, so that only forged messages contain it."""
+"""Largest stop number, which no arm command clears. Derived: every JSON reader keeps integers up to it. The
+time of day reaches it in the year 2109, so that only forged messages contain it."""
+
+TAGS = 2**11
+"""Number of different operator tags. Derived: the most that leave `MAX_STOP` for a century."""
+
+
+def stop_number(time_s: float, tag: int = 0) -> int:
+    """Return the number of a stop at a time of day, s since 1970, by the operator with this tag."""
+    return int(1000 * time_s) * TAGS + tag
+
+
+def new_tag() -> int:
+    """Return a random tag for a new operator, below `TAGS`. Two operators have equal tags once in 2,048."""
+    return secrets.randbelow(TAGS)
 
 
 @dataclass(frozen=True)
@@ -44,9 +59,15 @@ class StopLatch:
         """Return the maximum of each number of two latches."""
         return StopLatch(max(self.stop, other.stop), max(self.cleared, other.cleared))
 
-    def with_stop(self, time_s: float) -> "StopLatch":
-        """Return the latch after a new stop, issued at a time of day in seconds since 1970."""
-        number = max(self.stop + 1, self.cleared + 1, int(1000 * time_s))
+    def with_stop(self, time_s: float, tag: int) -> "StopLatch":
+        """Return the latch after a new stop.
+
+        Args:
+            time_s: time of day, s since 1970.
+            tag: tag of the operator that stops, below `TAGS`.
+        """
+        next_ms = max(self.stop, self.cleared) // TAGS + 1
+        number = max(next_ms * TAGS + tag, stop_number(time_s, tag))
         return replace(self, stop=min(number, MAX_STOP))
 
     def with_arm(self) -> "StopLatch":

@@ -193,7 +193,8 @@ class Library(SearchFunctions):
     def second_differences(self, image: Image, darkest: int, brightest: int) -> IntArray:
         """Return how often each `|I(u - 1) - 2 I(u) + I(u + 1)|` (1021,) occurs along lines of an image.
 
-        Every fourth line and column is read, where I(u) is above `darkest` and below `brightest`.
+        Every fourth column is read of every fourth line, of a large image of fewer lines, where I(u) is above
+        `darkest` and below `brightest`.
 
         Raises:
             InputError: the image has another type, shape or memory layout.

@@ -21,8 +21,9 @@ def image_noise(image: Image) -> float:
     """Return the noise of an image, standard deviation in grey levels, from the image alone.
 
     The median of `|I(u - 1) - 2 I(u) + I(u + 1)|` is `0.6745 √6` standard deviations of white noise, if
-    texture and edges take up less than half of the image. Every fourth line and column is read, and no
-    saturated pixel; the result is that of rounding, `sqrt(1 / 12)`, if too few are left.
+    texture and edges take up less than half of the image. Every fourth column is read of every fourth line,
+    of a large image of fewer lines, and no saturated pixel; the result is that of rounding, `sqrt(1 / 12)`,
+    if too few are left.
     """
     limits = SATURATION_MARGIN, 255 - SATURATION_MARGIN
     ends = library().second_differences(np.ascontiguousarray(image), *limits).cumsum()

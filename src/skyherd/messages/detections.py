@@ -46,6 +46,10 @@ class Quality(IntEnum):
     PHOTOMETRIC = 2
 
 
+QUALITIES = frozenset(map(int, Quality))
+"""Values of `Quality`."""
+
+
 def _no_qualities() -> IntArray:
     return np.zeros(0, dtype=np.int64)
 
@@ -133,7 +137,7 @@ class Detections:
         if n and not np.size(self.qualities):
             object.__setattr__(self, "qualities", np.full(n, Quality.CORNERS))
         freeze(self, "qualities", (n,), integer=True)
-        if n and not (self.qualities.min() >= min(Quality) and self.qualities.max() <= max(Quality)):
+        if not QUALITIES.issuperset(self.qualities.tolist()):
             raise MessageError(f"Detections.qualities: {self.qualities.tolist()}, expected 0, 1 or 2")
         if (self.sides_px <= 0).any():
             raise MessageError("Detections.sides_px: every side must be positive")

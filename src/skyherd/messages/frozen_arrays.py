@@ -9,6 +9,9 @@ import numpy as np
 from skyherd.errors import MessageError
 from skyherd.messages.checks import shown
 
+INTEGERS, FLOATS = np.dtype(np.int64), np.dtype(np.float64)
+"""Types of frozen arrays."""
+
 
 def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: bool = False) -> None:
     """Replace the field `name` of `owner` by a validated, read-only copy.
@@ -28,7 +31,7 @@ def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: 
         array = array.reshape([length or 0 for length in shape])
     if array.shape != shape and not _fits(array.shape, shape):
         raise MessageError(f"{type(owner).__name__}.{name}: shape {array.shape}, expected {shape}")
-    if not integer and not np.isfinite(array).all():
+    if not integer and not np.logical_and.reduce(np.isfinite(array), axis=None):
         raise MessageError(f"{type(owner).__name__}.{name}: every value must be finite")
     array.setflags(write=False)
     object.__setattr__(owner, name, array)
@@ -36,12 +39,14 @@ def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: 
 
 def _array(owner: object, name: str, *, integer: bool) -> np.ndarray:
     """Return a copy of a field as an array of 64-bit integers or floats; whole floats count as integers."""
-    given = getattr(owner, name)
+    given, dtype = getattr(owner, name), INTEGERS if integer else FLOATS
+    if type(given) is np.ndarray and given.dtype == dtype:
+        return given.copy()
     try:
         given = np.asarray(given)
         if integer and given.dtype.kind not in "iu" and not (given == np.floor(given)).all():
             raise ValueError
-        return np.array(given, dtype=np.int64 if integer else np.float64)
+        return np.array(given, dtype=dtype)
     except (TypeError, ValueError, OverflowError):
         kind = "whole numbers" if integer else "numbers"
         raise MessageError(f"{type(owner).__name__}.{name}: {shown(given)}, expected {kind}") from None

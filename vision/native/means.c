@@ -115,7 +115,7 @@ static void sharpen(const uint8_t *restrict smooth, const uint8_t *restrict wide
     }
 }
 
-/* Write the pixels of a row that are darker than the larger of two means. */
+/* Write as 255 the pixels of a row that are darker than the larger of two means, and the others as 0. */
 static void compare(const uint8_t *small, const uint8_t *large, const uint8_t *restrict sharp, uint8_t *restrict dark,
                     int32_t width, int32_t darker) {
     for (int32_t x = 0; x < width; x++) {
@@ -159,11 +159,40 @@ static void next_sharp_row(const Workspace *work, ThresholdSteps *steps) {
     sharpen(work->smooth, work->wide, work->sharp + y % SHARP_ROWS * (ptrdiff_t)width, width);
 }
 
-/* Write the pixels of the sharpened image that are darker than the larger of two local means.
+/* Clear the pixels of row y outside of the places, a plane of half the size, 255 within them. */
+static void keep_places(uint8_t *restrict row, const uint8_t *restrict places, int32_t y, int32_t width) {
+    const uint8_t *restrict kept = places + (ptrdiff_t)(y / 2) * (width / 2);
+    for (int32_t x = 0; x < width / 2; x++) {
+        row[2 * x] &= kept[x];
+        row[2 * x + 1] &= kept[x];
+    }
+}
+
+/* Return eight pixels, 0 or 255, as bits. */
+static uint8_t packed(const uint8_t *pixels) {
+    uint64_t eight;
+    memcpy(&eight, pixels, sizeof eight);
+    eight &= 0x8040201008040201u; /* bit i of byte i */
+    for (int apart = BITS / 2; apart >= BITS_PER_BYTE; apart /= 2) eight |= eight >> apart;
+    return (uint8_t)eight;
+}
+
+/* Write row y of a mask from its pixels, 0 or 255. */
+static void pack_row(const uint8_t *pixels, const Mask *mask, int32_t y) {
+    uint8_t *row = mask_row(mask, y), rest[BITS_PER_BYTE] = {0};
+    const int32_t whole = mask->width / BITS_PER_BYTE, left = mask->width % BITS_PER_BYTE;
+    for (int32_t byte = 0; byte < whole; byte++) row[byte] = packed(pixels + BITS_PER_BYTE * (ptrdiff_t)byte);
+    memset(row + whole, 0, (size_t)(mask->stride - WORD_BYTES - whole));
+    memcpy(rest, pixels + BITS_PER_BYTE * (ptrdiff_t)whole, (size_t)left);
+    if (left) row[whole] = packed(rest);
+}
+
+/* Find the pixels of the sharpened image that are darker than the larger of two local means.
  *
- * The steps follow each other row by row, so that all rows at hand stay in the processor's cache. */
-int threshold(const uint8_t *image, int32_t width, int32_t height, const SearchParameters *parameters,
-              Workspace *work) {
+ * `places` is a plane of half the size, 255 where pixels count. The steps follow each other row by row, so that all rows
+ * at hand stay in the processor's cache. */
+int threshold(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
+              const SearchParameters *parameters, Workspace *work) {
     ThresholdSteps steps;
     if (begin_steps(image, width, height, parameters, work, &steps)) return INVALID_PARAMETERS;
     const int32_t small_px = parameters->small_window_px, large_px = parameters->large_window_px;
@@ -173,49 +202,40 @@ int threshold(const uint8_t *image, int32_t width, int32_t height, const SearchP
         box_row(steps.boxes + SMALL_WINDOW, y, work->smooth);
         box_row(steps.boxes + LARGE_WINDOW, y, work->wide);
         const uint8_t *sharp = work->sharp + y % SHARP_ROWS * (ptrdiff_t)width;
-        compare(work->smooth, work->wide, sharp, mask_row(&work->dark, y), width, parameters->darker);
+        compare(work->smooth, work->wide, sharp, work->compared, width, parameters->darker);
+        keep_places(work->compared, places, y, width);
+        pack_row(work->compared, &work->dark, y);
     }
     return 0;
 }
 
-/* Write the pixels of an image that are darker than the mean of the large window. */
+/* Find the pixels of an image that are darker than the mean of the large window. */
 void threshold_plain(const uint8_t *image, int32_t width, int32_t height, int32_t darker, Workspace *work) {
     const Box box = {{image, width, INT32_MAX}, width, height, LARGE_WINDOW_PX, work->column_sums, work->window_sums};
     for (int32_t y = 0; y < height; y++) {
         box_row(&box, y, work->wide);
-        compare(work->wide, work->wide, image + (ptrdiff_t)y * width, mask_row(&work->dark, y), width, darker);
-    }
-}
-
-/* Write a row of places at twice the size. */
-static void double_row(const uint8_t *restrict places, uint16_t *restrict doubled, int32_t count) {
-    for (int32_t x = 0; x < count; x++) doubled[x] = (uint16_t)(places[x] * 257u);
-}
-
-static void keep_row(uint8_t *restrict row, const uint8_t *restrict kept, int32_t width) {
-    for (int32_t x = 0; x < width; x++) row[x] &= kept[x];
-}
-
-/* Clear the pixels outside of the places, a plane of half the size. scratch (width / 2,) is for work. */
-void keep_places(Mask *mask, const uint8_t *places, uint16_t *scratch) {
-    const int32_t half = mask->width / 2;
-    for (int32_t y = 0; y < mask->height; y++) {
-        if (y % 2 == 0) double_row(places + (ptrdiff_t)(y / 2) * half, scratch, half);
-        keep_row(mask_row(mask, y), (const uint8_t *)scratch, mask->width);
+        compare(work->wide, work->wide, image + (ptrdiff_t)y * width, work->compared, width, darker);
+        pack_row(work->compared, &work->dark, y);
     }
 }
 
 /* Keep the pixels whose eight neighbours are all dark. Neighbours outside of the image count as dark. */
 void erode(const Mask *mask, const Mask *eroded, uint8_t *scratch) {
-    const int32_t last_x = mask->width - 1, last_y = mask->height - 1;
+    const int32_t last_y = mask->height - 1, left = mask->width % BITS_PER_BYTE;
+    const ptrdiff_t bytes = mask->stride - WORD_BYTES, last = (mask->width - 1) / BITS_PER_BYTE;
+    const uint8_t beyond = left ? (uint8_t)(DARK << left) : 0; /* bits of the last byte that are no pixels */
+    uint8_t *column = scratch + 1;
+    column[-1] = column[last + 1] = DARK;
     for (int32_t y = 0; y <= last_y; y++) {
-        const uint8_t *restrict above = mask_row(mask, y > 0 ? y - 1 : 0);
-        const uint8_t *restrict row = mask_row(mask, y);
-        const uint8_t *restrict below = mask_row(mask, y < last_y ? y + 1 : last_y);
-        uint8_t *restrict column = scratch + 1, *restrict kept = mask_row(eroded, y);
-        for (int32_t x = 0; x <= last_x; x++) column[x] = above[x] & row[x] & below[x];
-        column[-1] = column[0];
-        column[last_x + 1] = column[last_x];
-        for (int32_t x = 0; x <= last_x; x++) kept[x] = column[x - 1] & column[x] & column[x + 1];
+        const uint8_t *above = mask_row(mask, y > 0 ? y - 1 : 0), *row = mask_row(mask, y);
+        const uint8_t *below = mask_row(mask, y < last_y ? y + 1 : last_y);
+        uint8_t *restrict kept = mask_row(eroded, y);
+        for (ptrdiff_t i = 0; i <= last; i++) column[i] = above[i] & row[i] & below[i];
+        column[last] |= beyond;
+        for (ptrdiff_t i = 0; i <= last; i++)
+            kept[i] = column[i] & (uint8_t)(column[i] << 1 | column[i - 1] >> 7) &
+                      (uint8_t)(column[i] >> 1 | column[i + 1] << 7);
+        kept[last] &= (uint8_t)~beyond;
+        memset(kept + last + 1, 0, (size_t)(bytes - last - 1));
     }
 }

@@ -28,29 +28,12 @@ static int32_t join(Region *regions, int32_t a, int32_t b) {
     return first;
 }
 
-/* Return which of 64 pixels, 0 or 255, are dark: bit i is pixel i. */
-static uint64_t dark_bits(const uint8_t *pixels) {
-    enum { BYTES = 8 };
-    uint64_t bits = 0;
-    for (int part = 0; part < BYTES; part++, pixels += BYTES) {
-        uint64_t eight = 0; /* one load on little-endian processors */
-        for (int i = 0; i < BYTES; i++) eight |= (uint64_t)pixels[i] << (BYTES * i);
-        /* The product has the lowest bits of the eight bytes in its highest byte. */
-        bits |= (eight & 0x0101010101010101u) * 0x0102040810204080u >> 56 << (BYTES * part);
-    }
-    return bits;
-}
-
 /* Append the runs of one row, and return their number. A run begins and ends where a pixel differs from the last one. */
 static int32_t runs_of_row(const uint8_t *row, int32_t width, int32_t y, Run *runs) {
-    enum { BITS = 64 };
-    uint8_t rest[BITS] = {0};
     int32_t ends = 0;
     uint64_t last = 0; /* whether the pixel before is dark */
     for (int32_t x = 0; x < width; x += BITS) {
-        const int is_whole = width - x >= BITS;
-        if (!is_whole) memcpy(rest, row + x, (size_t)(width - x));
-        const uint64_t dark = dark_bits(is_whole ? row + x : rest);
+        const uint64_t dark = word_at(row, x);
         for (uint64_t changes = dark ^ (dark << 1 | last); changes; changes &= changes - 1, ends++) {
             const int32_t at = x + __builtin_ctzll(changes);
             if (ends % 2) runs[ends / 2].to = at;
@@ -101,18 +84,39 @@ int32_t find_regions(const Mask *mask, Workspace *work) {
 }
 
 /* Directions are numbered anticlockwise from +x. */
-static const int32_t DX[8] = {1, 1, 0, -1, -1, -1, 0, 1}, DY[8] = {0, -1, -1, -1, 0, 1, 1, 1};
+enum { DIRECTIONS = 8, NEIGHBOURHOODS = 256 };
+static const int32_t DX[DIRECTIONS] = {1, 1, 0, -1, -1, -1, 0, 1}, DY[DIRECTIONS] = {0, -1, -1, -1, 0, 1, 1, 1};
 
-/* Return which of a pixel's neighbours are dark, one bit for each direction. Pixels are 0 or 255. */
-static inline uint32_t dark_neighbours(const uint8_t *pixel, const ptrdiff_t steps[8]) {
-    uint32_t bits = 0;
-    for (int direction = 0; direction < 8; direction++) bits |= pixel[steps[direction]] & 1u << direction;
-    return bits;
+/* The step that follows a step in a direction, by the dark neighbours of the pixel that it led to: the first dark one
+ * anticlockwise from where it came from. */
+typedef struct { int8_t dx, dy; uint8_t direction; } Step;
+static Step next_steps[DIRECTIONS][NEIGHBOURHOODS];
+
+/* Bits of the neighbours in each direction in `neighbours_at`. */
+static const int32_t BIT_OF[DIRECTIONS] = {4, 2, 1, 0, 3, 5, 6, 7};
+
+__attribute__((constructor)) static void fill_next_steps(void) {
+    for (int32_t came = 0; came < DIRECTIONS; came++)
+        for (int32_t dark = 0; dark < NEIGHBOURHOODS; dark++)
+            for (int32_t turn = DIRECTIONS; turn > 0; turn--) {
+                const int32_t direction = (came + DIRECTIONS / 2 + turn) % DIRECTIONS;
+                const Step step = {(int8_t)DX[direction], (int8_t)DY[direction], (uint8_t)direction};
+                if (dark >> BIT_OF[direction] & 1) next_steps[came][dark] = step;
+            }
 }
 
-/* Return the first direction of a neighbour's bit, at least one, from `direction` on. */
-static inline int first_from(int direction, uint32_t bits) {
-    return (direction + __builtin_ctz((bits << 8 | bits) >> direction)) & 7;
+/* Return pixels x - 1 to x + 1 of a row as bits 0 to 2. */
+static inline uint32_t three_at(const uint8_t *row, int32_t x) {
+    const uint32_t first = (uint32_t)x + BITS_PER_BYTE - 1;
+    uint16_t two_bytes;
+    memcpy(&two_bytes, row - 1 + first / BITS_PER_BYTE, sizeof two_bytes);
+    return (uint32_t)two_bytes >> first % BITS_PER_BYTE & 7u;
+}
+
+/* Return which neighbours of pixel x of a row are dark, as bits: three above it, both beside it, three below it. */
+static inline uint32_t neighbours_at(const uint8_t *row, ptrdiff_t stride, int32_t x) {
+    const uint32_t here = three_at(row, x);
+    return three_at(row - stride, x) | (here & 1) << 3 | (here >> 2) << 4 | three_at(row + stride, x) << 5;
 }
 
 /* Follow the outer boundary of a region from its first pixel, anticlockwise in the image.
@@ -121,31 +125,31 @@ static inline int first_from(int direction, uint32_t bits) {
  * at most four times. Returns 0 for a boundary of more than `max_points`.
  */
 int trace(const Mask *mask, const Region *region, ptrdiff_t max_points, Workspace *work, Boundary *boundary) {
-    ptrdiff_t steps[8];
-    for (int k = 0; k < 8; k++) steps[k] = DX[k] + DY[k] * mask->stride;
-    Point at = {region->first_x, region->top};
-    const uint8_t *const first = mask_row(mask, at.y) + at.x, *pixel = first;
-    const uint32_t around = dark_neighbours(first, steps);
-    work->points[0] = at;
+    const ptrdiff_t stride = mask->stride;
+    const Point first = {region->first_x, region->top};
+    const uint8_t *row = mask_row(mask, first.y);
+    const uint32_t around = neighbours_at(row, stride, first.x);
+    work->points[0] = first;
     *boundary = (Boundary){work->points, 1};
     if (!around) return max_points > 0;
     /* The last step leads from the first dark pixel clockwise from the left neighbour, which is not dark. */
     int direction = 4;
-    do direction = (direction + 7) & 7;
-    while (!(around >> direction & 1));
-    const uint8_t *const last = first + steps[direction];
-    int32_t count = 0;
-    for (;;) {
+    do direction = (direction + 7) % DIRECTIONS;
+    while (!(around >> BIT_OF[direction] & 1));
+    const Point last = {first.x + DX[direction], first.y + DY[direction]};
+    Point at = first;
+    direction = (direction + DIRECTIONS / 2) % DIRECTIONS;
+    for (int32_t count = 0;;) {
         if (count >= max_points) return 0;
         work->points[count++] = at;
-        direction = first_from((direction + 1) & 7, dark_neighbours(pixel, steps));
-        const uint8_t *next = pixel + steps[direction];
-        if (next == first && pixel == last) break;
-        at.x += DX[direction];
-        at.y += DY[direction];
-        pixel = next;
-        direction = (direction + 4) & 7;
+        const Step *step = &next_steps[direction][neighbours_at(row, stride, at.x)];
+        const Point next = {at.x + step->dx, at.y + step->dy};
+        if (next.x == first.x && next.y == first.y && at.x == last.x && at.y == last.y) {
+            boundary->count = count;
+            return 1;
+        }
+        row += step->dy * stride;
+        direction = step->direction;
+        at = next;
     }
-    boundary->count = count;
-    return 1;
 }

@@ -32,8 +32,8 @@ static uint8_t *reserve(uint8_t *memory, size_t *used, size_t bytes) {
 }
 
 static Mask reserve_mask(uint8_t *memory, size_t *used, int32_t width, int32_t height) {
-    const ptrdiff_t stride = (ptrdiff_t)width + 2;
-    return (Mask){reserve(memory, used, (size_t)stride * (size_t)(height + 2)), width, height, stride};
+    const ptrdiff_t stride = ((ptrdiff_t)width + BITS - 1) / BITS * WORD_BYTES + WORD_BYTES;
+    return (Mask){reserve(memory, used, (size_t)stride * (size_t)(height + 2) + WORD_BYTES), width, height, stride};
 }
 
 /* Lay out the workspace in `memory`, and return the bytes used. Without memory only the bytes are counted. */
@@ -42,6 +42,7 @@ static size_t lay_out(uint8_t *memory, int32_t width, int32_t height, Workspace 
     size_t used = 0;
     work->smooth = reserve(memory, &used, (size_t)width);
     work->wide = reserve(memory, &used, (size_t)width);
+    work->compared = reserve(memory, &used, (size_t)width);
     work->means = reserve(memory, &used, MEAN_ROWS * (size_t)width);
     work->sharp = reserve(memory, &used, SHARP_ROWS * (size_t)width);
     work->column_sums = (uint16_t *)(void *)reserve(memory, &used, BOXES * padded * sizeof(uint16_t));
@@ -63,9 +64,9 @@ size_t search_workspace_bytes(int32_t width, int32_t height) {
 }
 
 static void clear_border(const Mask *mask) {
-    memset(mask_row(mask, -1) - 1, 0, (size_t)mask->stride);
-    memset(mask_row(mask, mask->height) - 1, 0, (size_t)mask->stride);
-    for (int32_t y = 0; y < mask->height; y++) mask_row(mask, y)[-1] = mask_row(mask, y)[mask->width] = 0;
+    memset(mask->bytes, 0, (size_t)mask->stride);
+    for (int32_t y = 0; y < mask->height; y++) memset(mask_row(mask, y) - WORD_BYTES, 0, WORD_BYTES);
+    memset(mask_row(mask, mask->height) - WORD_BYTES, 0, (size_t)mask->stride + WORD_BYTES);
 }
 
 static void begin(uint8_t *workspace, size_t workspace_bytes, int32_t width, int32_t height, Workspace *work) {
@@ -84,9 +85,7 @@ static int prepare(const uint8_t *image, const uint8_t *places, int32_t width, i
         parameters->darker > 255)
         return INVALID_PARAMETERS;
     begin(workspace, workspace_bytes, width, height, work);
-    const int failed = threshold(image, width, height, parameters, work);
-    if (!failed) keep_places(&work->dark, places, work->column_sums);
-    return failed;
+    return threshold(image, places, width, height, parameters, work);
 }
 
 /* Write the dark pixels (height, width) of an image as 255, and return 0 or an error. */
@@ -94,8 +93,11 @@ int32_t search_mask(const uint8_t *image, const uint8_t *places, int32_t width, 
                     const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes, uint8_t *dark) {
     Workspace work;
     const int failed = prepare(image, places, width, height, parameters, workspace, workspace_bytes, &work);
-    for (int32_t y = 0; !failed && y < height; y++)
-        memcpy(dark + (ptrdiff_t)y * width, mask_row(&work.dark, y), (size_t)width);
+    for (int32_t y = 0; !failed && y < height; y++) {
+        const uint8_t *row = mask_row(&work.dark, y);
+        for (int32_t x = 0; x < width; x++)
+            dark[(ptrdiff_t)y * width + x] = row[x / BITS_PER_BYTE] >> x % BITS_PER_BYTE & 1 ? DARK : 0;
+    }
     return failed;
 }
 

@@ -15,8 +15,11 @@
 
 #include <stddef.h>
 #include <stdint.h>
+#include <string.h>
 
-enum { MAX_SIDE_PX = 1 << 20, MAX_PIXELS = 1 << 28, DARK = 255 };
+_Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "words of a mask are read from its bytes");
+
+enum { MAX_SIDE_PX = 1 << 20, MAX_PIXELS = 1 << 28, DARK = 255, BITS = 64, BITS_PER_BYTE = 8, WORD_BYTES = 8 };
 
 /* Largest window of a mean, px. Boxes of the threshold, and rows of means and of the sharpened image that are kept: powers
  * of two, more than the windows that read them are high. */
@@ -51,8 +54,10 @@ typedef struct { int32_t x, y; } Point;
 /* Outer boundary of a region: `count` points, anticlockwise in the image, from its first pixel in row order. */
 typedef struct { const Point *points; int32_t count; } Boundary;
 
-/* A binary image with a border of one pixel that is never dark. */
-typedef struct { uint8_t *pixels; int32_t width, height; ptrdiff_t stride; } Mask;
+/* A binary image: bit x % 8 of byte x / 8 of a row is 1 where pixel x is dark. It has an eighth of an image's bytes, so that
+ * it stays in the processor's cache. Rows are filled up with zeros to whole words, and begin behind a word of zeros; there
+ * is a row of zeros above the first one and one below the last. So pixels beside the image are never dark. */
+typedef struct { uint8_t *bytes; int32_t width, height; ptrdiff_t stride; } Mask;
 
 /* Row `from <= x < to` of dark pixels, and its region. */
 typedef struct { int32_t from, to, y, label; } Run;
@@ -62,7 +67,7 @@ typedef struct { int32_t parent, left, right, top, bottom, first_x; } Region;
 
 /* Rows, planes and lists of one search. */
 typedef struct {
-    uint8_t *smooth, *wide, *means, *sharp; /* one row, one row, MEAN_ROWS and SHARP_ROWS */
+    uint8_t *smooth, *wide, *compared, *means, *sharp; /* one row each, MEAN_ROWS and SHARP_ROWS */
     uint16_t *column_sums, *window_sums;    /* a padded row for each box, and one */
     Mask dark, eroded;
     Run *runs;
@@ -72,14 +77,20 @@ typedef struct {
 } Workspace;
 
 static inline uint8_t *mask_row(const Mask *mask, int32_t y) {
-    return mask->pixels + (y + 1) * mask->stride + 1;
+    return mask->bytes + (y + 1) * mask->stride + WORD_BYTES;
+}
+
+/* Return 64 pixels of a row from a multiple of 64 on: bit i is pixel i. */
+static inline uint64_t word_at(const uint8_t *row, int32_t x) {
+    uint64_t word;
+    memcpy(&word, row + x / BITS_PER_BYTE, sizeof word);
+    return word;
 }
 
 /* means.c */
-int threshold(const uint8_t *image, int32_t width, int32_t height, const SearchParameters *parameters,
-              Workspace *work);
+int threshold(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
+              const SearchParameters *parameters, Workspace *work);
 void threshold_plain(const uint8_t *image, int32_t width, int32_t height, int32_t darker, Workspace *work);
-void keep_places(Mask *mask, const uint8_t *places, uint16_t *scratch);
 void erode(const Mask *mask, const Mask *eroded, uint8_t *scratch);
 
 /* regions.c */

@@ -114,13 +114,16 @@ def crowded_places(image: Image, known_px: Array | None = None, min_darkness: fl
 
 def _mosaic(image: Image, crowded_mask: Image) -> Mosaic:
     """Return the places of an image within a mask, or the whole image if they exceed `MAX_MOSAIC_SHARE`."""
+    whole = Mosaic(image, crowded_mask, np.zeros(1, dtype=np.int64), np.zeros(1, dtype=complex))
+    if 4 * cv2.countNonZero(crowded_mask) > MAX_MOSAIC_SHARE * image.size:
+        return whole
     contours, _ = cv2.findContours(crowded_mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     boxes = np.array([cv2.boundingRect(contour) for contour in contours], dtype=np.int64).reshape(-1, 4)
     low = 2 * boxes[:, :2] - MARGIN_PX
     widths, heights = (2 * boxes[:, 2:] + 2 * MARGIN_PX).T
     height = int(heights.max(initial=0))
     if not boxes.size or height * widths.sum() > MAX_MOSAIC_SHARE * image.size:
-        return Mosaic(image, crowded_mask, np.zeros(1, dtype=np.int64), np.zeros(1, dtype=complex))
+        return whole
     begins = np.cumsum(widths) - widths
     mask = np.zeros((height // 2, int(widths.sum()) // 2), dtype=np.uint8)
     for contour, shift in zip(contours, (np.column_stack([begins, 0 * begins]) - low) // 2, strict=True):

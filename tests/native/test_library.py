@@ -81,9 +81,10 @@ def fuzz_vision(path, seed=0, images=150):
         library.sampled_squares(image, quads, rng.uniform(-1, 2, fine * side), fine)
         library.refined_corners(image, quads, int(rng.integers(1, 12)), edge_parameters())
         if min(height, width) >= 4:
-            gains = rng.normal(0, 10, (2, height // 4, width // 4)).astype(np.float32)
-            gains[rng.random(gains.shape) < 0.1] = rng.choice([np.nan, np.inf, -1e38])
-            library.stretched(image, *gains, 4)
+            blocks = rng.normal(0, 10, (4, height // 4, width // 4)).astype(np.float32)
+            blocks[rng.random(blocks.shape) < 0.1] = rng.choice([np.nan, np.inf, -1e38])
+            is_sharp = rng.integers(0, 256, blocks.shape[1:], dtype=np.uint8)
+            library.stretched(image, blocks[:2], blocks[2:], is_sharp)
     for size in [(1, 1), (1, 70), (70, 1), (0, 2), (-2, 2), (3, 4), (1 << 21, 2), (1 << 15, 1 << 15)]:
         assert library.functions.search_workspace_bytes(*size) == 0
         assert library.functions.search_quads(None, None, *size, None, None, 0, None, None, 0) < 0

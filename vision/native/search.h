@@ -117,6 +117,6 @@ int32_t sample_squares(const uint8_t *image, int32_t width, int32_t height, cons
 int32_t fit_edges(const uint8_t *image, int32_t width, int32_t height, int64_t count, int32_t cells,
                   const EdgeParameters *given, double *corners, double *spreads, double *supports, double *rises);
 int32_t stretch(const uint8_t *image, int32_t width, int32_t height, const float *gains, const float *shifts,
-                int32_t columns, int32_t rows, int32_t block_px, float *memory, uint8_t *stretched);
+                const uint8_t *is_sharp, int32_t columns, int32_t rows, float *memory, uint8_t *stretched);
 
 #endif

@@ -100,29 +100,31 @@ class SearchFunctions:
         ends = np.cumsum(counts[:found])
         return np.split(points[: ends[-1] if found else 0], ends[:-1]) if found else []
 
-    def stretched(self, image: Image, gains: Floats, shifts: Floats, block_px: int) -> Image:
-        """Return gains times grey levels plus shifts, rounded and within 0 to 255.
+    def stretched(self, image: Image, gains: Floats, shifts: Floats, is_sharp: Image) -> tuple[Image, Image]:
+        """Return two images of gains times grey levels plus shifts, rounded and within 0 to 255.
+
+        Both are smoothed by a binomial filter of 3 px, the first one only in blocks that are not sharp.
 
         Args:
             image: grey, (height, width).
-            gains: (rows, columns) of blocks of pixels, bilinear between the blocks' centres.
-            shifts: (rows, columns) grey levels, likewise.
-            block_px: side of a block, px.
+            gains: (2, rows, columns) of blocks of 4 x 4 pixels, bilinear between the blocks' centres.
+            shifts: (2, rows, columns) grey levels, likewise.
+            is_sharp: (rows, columns) 255 where the first image is not smoothed, else 0.
 
         Raises:
             InputError: an argument has another type, shape or memory layout, or is empty.
         """
         check_plane("image", image, None)
-        factors = (
-            address(name, of_blocks, np.float32, gains.shape)
-            for name, of_blocks in (("gains", gains), ("shifts", shifts))
+        (height, width), (rows, columns) = image.shape, is_sharp.shape
+        blocks = (
+            address("gains", gains, np.float32, (2, rows, columns)),
+            address("shifts", shifts, np.float32, (2, rows, columns)),
+            address("is_sharp", is_sharp, np.uint8, (rows, columns)),
         )
-        (height, width), (rows, columns) = image.shape, gains.shape
-        memory, made = np.empty((4, width), dtype=np.float32), np.empty_like(image)
-        size = columns, rows, block_px
-        results = memory.ctypes.data, made.ctypes.data
-        check(self.functions.stretch(image.ctypes.data, width, height, *factors, *size, *results), ERRORS)
-        return made
+        memory, made = np.empty((10, width), dtype=np.float32), np.empty((2, height, width), dtype=np.uint8)
+        given = image.ctypes.data, width, height, *blocks, columns, rows
+        check(self.functions.stretch(*given, memory.ctypes.data, made.ctypes.data), ERRORS)
+        return made[0], made[1]
 
     def sampled_squares(self, image: Image, corners_px: Array, at: Array, fine: int) -> Floats:
         """Return grey levels (N, side, side) on a grid within quadrilaterals, each a mean of `fine`² places.
@@ -198,7 +200,7 @@ def search_signatures() -> dict[str, Signature]:
         "search_mask": (integer, *search, pointer),
         "search_quads": (integer, *search, pointer, pointer, integer),
         "search_boundaries": (integer, *boundaries),
-        "stretch": (integer, pointer, integer, integer, pointer, pointer, *(integer,) * 3, pointer, pointer),
+        "stretch": (integer, pointer, *(integer,) * 2, *(pointer,) * 3, *(integer,) * 2, *(pointer,) * 2),
         "fit_edges": (
             integer,
             pointer,

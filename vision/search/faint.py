@@ -12,8 +12,8 @@ corners stay apart; at a sixth, wide black borders are dark all over. So the ima
 import cv2
 import numpy as np
 
-from skyherd.geometry import Array, BoolArray
-from skyherd.vision.grey import Image, block_means
+from skyherd.geometry import Array
+from skyherd.vision.grey import Floats, Image, block_means
 from skyherd.vision.native.library import library
 from skyherd.vision.search.quads import find_quads
 
@@ -35,14 +35,15 @@ levels, below which few markers can be read, then has what the search finds, and
 Where the fine gain keeps noise within it, the image is not smoothed. Measured with 9 instead, on the boards
 above: more markers are found at a tilt of 65 degrees, and as many fewer of 14 px at the lowest contrast."""
 
-SMOOTHING_PX, SMOOTHED_NOISE = 3, 6 / 16
-"""Width of the filter that smooths the image, px, and the share of the noise's standard deviation that it
-leaves. Chosen: the smallest binomial filter. A box of 3 px removes more noise, and cells of 1.6 px with it.
-Derived: the weights (1, 2, 1) / 4 along either axis."""
+SMOOTHED_NOISE = 6 / 16
+"""Share of the noise's standard deviation that smoothing leaves. Chosen: the smallest binomial filter, of
+3 px. A box of 3 px removes more noise, and cells of 1.6 px with it. Derived: the weights (1, 2, 1) / 4 along
+either axis."""
 
 BLOCK_PX, SURROUNDINGS = 4, 15
-"""Side of the blocks that have a gain each, px, and of the surroundings that determine it, in blocks. Chosen:
-surroundings are larger than the markers that are faint and yet small enough to be missed otherwise."""
+"""Side of the blocks that have a gain each, px, as in `vision/native/stretch.c`, and of the surroundings that
+determine it, in blocks. Chosen: surroundings are larger than the markers that are faint and yet small enough
+to be missed otherwise."""
 
 MIDDLE = 128.0
 """Grey level of no difference."""
@@ -74,27 +75,17 @@ def stretched_contrasts(image: Image, noise: float) -> tuple[Image, Image]:
         noise: standard deviation of a pixel, grey levels, above 0.
     """
     blocks, box = block_means(image, BLOCK_PX).astype(np.float32), (SURROUNDINGS, SURROUNDINGS)
-    means: Array = np.asarray(cv2.blur(blocks, box), dtype=float)
-    variances = cv2.sqrBoxFilter(blocks, -1, box) - means**2 - (noise / BLOCK_PX) ** 2
-    per_level = 1 / np.sqrt(np.maximum(variances, MIN_VARIANCE))
-    most = min(MAX_GAIN, MAX_NOISE / (SMOOTHED_NOISE * noise))
+    means: Floats = np.asarray(cv2.blur(blocks, box))
+    variances = cv2.sqrBoxFilter(blocks, -1, box) - means.astype(float) ** 2 - (noise / BLOCK_PX) ** 2
+    per_level = (1 / np.sqrt(np.maximum(variances, MIN_VARIANCE))).astype(np.float32)
+    most = float(min(MAX_GAIN, MAX_NOISE / (SMOOTHED_NOISE * noise)))
     fine = np.minimum(FINE_SPREAD * per_level, most)
     fine[fine < MIN_FINE_GAIN] = 0.0
     coarse = np.clip(COARSE_SPREAD * per_level, min(MIN_COARSE_GAIN, most), most)
-    smooth = np.asarray(cv2.GaussianBlur(image, (SMOOTHING_PX, SMOOTHING_PX), 0), dtype=np.uint8)
-    return (
-        _stretched(_sharp_where(fine * noise <= MAX_NOISE, image, smooth), fine, means),
-        _stretched(smooth, coarse, means),
-    )
+    gains = np.stack([fine, coarse])
+    return library().stretched(image, gains, MIDDLE - gains * means, may_stay_sharp(fine, noise))
 
 
-def _sharp_where(is_sharp: BoolArray, image: Image, smooth: Image) -> Image:
-    """Return the image in the blocks of a mask, and the smooth one in the others."""
-    of_pixels = cv2.resize(is_sharp.astype(np.uint8), image.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    return np.asarray(cv2.copyTo(image, of_pixels, smooth.copy()), dtype=np.uint8)
-
-
-def _stretched(image: Image, gains: Array, means: Array) -> Image:
-    """Return the differences of an image from means of blocks, times gains of blocks, about `MIDDLE`."""
-    factors, shifts = (part.astype(np.float32) for part in (gains, MIDDLE - gains * means))
-    return library().stretched(image, factors, shifts, BLOCK_PX)
+def may_stay_sharp(gains: Floats, noise: float) -> Image:
+    """Return as 255 the blocks whose noise, grey levels, is within its limit after their gains, else 0."""
+    return np.where(gains * noise <= MAX_NOISE, 255, 0).astype(np.uint8)

@@ -136,20 +136,27 @@ def test_masks_of_small_images_equal_opencv():
             assert np.array_equal(found, reference.dark_regions(places).dark), (width, height)
 
 
+BLOCKS = np.zeros((2, 2, 2), np.float32)
+
+
 @pytest.mark.parametrize("size", [(90, 61), (64, 48), (5, 4), (4, 39)])
-def test_stretched_image_equals_opencv(size):
+def test_stretched_images_equal_opencv(size):
     """Gains and shifts enlarged by OpenCV, which has no incomplete blocks; all builds give equal bytes."""
     rng = np.random.default_rng([10, *size])
     image, blocks = rng.integers(0, 256, size, dtype=np.uint8), (size[0] // 4, size[1] // 4)
-    gains, shifts = rng.uniform(0, 9, blocks), rng.uniform(-400, 200, blocks)
+    gains, shifts = rng.uniform(0, 9, (2, *blocks)), rng.uniform(-400, 200, (2, *blocks))
     gains, shifts = gains.astype(np.float32), shifts.astype(np.float32)
-    made = [other.stretched(image, gains, shifts, 4) for other in builds("vision", declared).values()]
-    assert len({one.tobytes() for one in made}) == 1
+    is_sharp = np.where(rng.random(blocks) < 0.5, 255, 0).astype(np.uint8)
+    made = [other.stretched(image, gains, shifts, is_sharp) for other in builds("vision", declared).values()]
+    assert len({one[0].tobytes() + one[1].tobytes() for one in made}) == 1
     height, width = 4 * blocks[0], 4 * blocks[1]
-    gain, shift = (cv2.resize(of_blocks, (width, height)).astype(float) for of_blocks in (gains, shifts))
-    expected = np.clip(gain * image[:height, :width] + shift, 0, 255)
-    assert np.abs(made[0][:height, :width] - expected).max() < 0.501
-    assert min(size) < 10 or np.isin(made[0], [0, 255], invert=True).mean() > 0.1
+    smooth = cv2.GaussianBlur(image, (3, 3), 0)[:height, :width]
+    chosen = np.where(np.kron(is_sharp, np.ones((4, 4), np.uint8)) > 0, image[:height, :width], smooth)
+    for levels, gain, shift, one in zip((chosen, smooth), gains, shifts, made[0], strict=True):
+        gain, shift = (cv2.resize(part, (width, height)).astype(float) for part in (gain, shift))
+        expected = np.clip(gain * levels + shift, 0, 255)
+        assert np.abs(one[:height, :width] - expected).max() < 0.501
+        assert min(size) < 10 or np.isin(one, [0, 255], invert=True).mean() > 0.1
 
 
 @pytest.mark.parametrize("name", IMAGES)
@@ -183,19 +190,20 @@ def test_invalid_arrays_are_rejected(image, places):
 
 
 @pytest.mark.parametrize(
-    ("gains", "shifts", "block_px"),
+    ("gains", "shifts", "is_sharp"),
     [
-        (np.zeros((2, 2)), np.zeros((2, 2)), 4),
-        (np.zeros((2, 2), np.float32), np.zeros((2, 1), np.float32), 4),
-        (np.zeros((3, 2), np.float32), np.zeros((3, 2), np.float32), 4),
-        (np.zeros((2, 2), np.float32), np.zeros((2, 2), np.float32), 3),
-        (np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32), 4),
+        (np.zeros((2, 2, 2)), np.zeros((2, 2, 2)), np.zeros((2, 2), np.uint8)),
+        (BLOCKS, np.zeros((2, 2, 1), np.float32), np.zeros((2, 2), np.uint8)),
+        (BLOCKS, BLOCKS, np.zeros((2, 2))),
+        (BLOCKS, BLOCKS, np.zeros((3, 2), np.uint8)),
+        (np.zeros((2, 3, 2), np.float32), np.zeros((2, 3, 2), np.float32), np.zeros((3, 2), np.uint8)),
+        (BLOCKS[:, :0], BLOCKS[:, :0], np.zeros((0, 2), np.uint8)),
     ],
-    ids=["double", "other shape", "beyond the image", "odd block", "none"],
+    ids=["double", "other shape", "sharp as double", "other blocks", "beyond the image", "none"],
 )
-def test_invalid_blocks_are_rejected(gains, shifts, block_px):
+def test_invalid_blocks_are_rejected(gains, shifts, is_sharp):
     with pytest.raises(InputError):
-        library().stretched(np.zeros((8, 8), np.uint8), gains, shifts, block_px)
+        library().stretched(np.zeros((8, 8), np.uint8), gains, shifts, is_sharp)
 
 
 def test_window_that_is_not_compiled_is_rejected():

@@ -39,7 +39,7 @@ def found(noise: float) -> int:
 
 def test_small_cells_under_little_noise_are_not_smoothed(monkeypatch) -> None:
     kept = found(1.5)
-    monkeypatch.setattr(faint, "_sharp_where", lambda is_sharp, image, smooth: smooth)
+    monkeypatch.setattr(faint, "may_stay_sharp", lambda gains, noise: np.zeros(gains.shape, np.uint8))
     assert kept > 1.4 * found(1.5) > 0
 
 
@@ -49,5 +49,5 @@ def test_noise_after_the_gain_is_within_its_limit(noise, monkeypatch) -> None:
     image = np.clip(np.rint(rng.normal(120, noise, (240, 320))), 0, 255).astype(np.uint8)
     for stretched in stretched_contrasts(image, noise):
         assert np.std(stretched) < 1.1 * MAX_NOISE
-    monkeypatch.setattr(faint, "_sharp_where", lambda is_sharp, image, smooth: image)
+    monkeypatch.setattr(faint, "may_stay_sharp", lambda gains, noise: np.full(gains.shape, 255, np.uint8))
     assert np.std(stretched_contrasts(image, noise)[0]) > 1.5 * MAX_NOISE

@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 
 from skyherd.geometry import Array
-from skyherd.vision.grey import Floats, Image, block_means
+from skyherd.vision.grey import Image, block_means
 from skyherd.vision.native.library import library
+from skyherd.vision.native.records import Floats
 from skyherd.vision.search.quads import find_quads
 
 FINE_SPREAD, COARSE_SPREAD = 12.0, 25.0

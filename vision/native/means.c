@@ -87,8 +87,8 @@ static inline const uint8_t *row_at(const Rows *rows, int32_t y) {
 /* Rows that a step of the threshold reads, their size, and sums over the columns of a window about the row at hand. */
 typedef struct { Rows from; int32_t width, height, window_px; uint16_t *padded, *parts; } Box;
 
-/* Compute the means over a box around each pixel of row y. The rows are to be asked for one after the other. */
-static void box_row(const Box *box, int32_t y, uint8_t *means) {
+/* Compute the sums over the columns of a box about row y. The rows are to be asked for one after the other. */
+static void sum_columns(const Box *box, int32_t y) {
     const int32_t reach = box->window_px / 2, width = box->width, height = box->height;
     uint16_t *columns = box->padded + reach;
     if (y == 0) {
@@ -102,7 +102,17 @@ static void box_row(const Box *box, int32_t y, uint8_t *means) {
         columns[-x] = columns[mirrored(-x, width)];
         columns[width - 1 + x] = columns[mirrored(width - 1 + x, width)];
     }
-    row_means(box->padded, box->parts, width, box->window_px, means);
+}
+
+/* Compute the means over a box around pixels `from <= x < to` of the row whose columns are summed. */
+static void box_means(const Box *box, int32_t from, int32_t to, uint8_t *means) {
+    row_means(box->padded + from, box->parts, to - from, box->window_px, means + from);
+}
+
+/* Compute the means over a box around each pixel of row y. */
+static void box_row(const Box *box, int32_t y, uint8_t *means) {
+    sum_columns(box, y);
+    box_means(box, 0, box->width, means);
 }
 
 /* Sharpen by an unsharp mask: twice the smooth row less the wide mean, within 0 to 255. */
@@ -159,10 +169,29 @@ static void next_sharp_row(const Workspace *work, ThresholdSteps *steps) {
     sharpen(work->smooth, work->wide, work->sharp + y % SHARP_ROWS * (ptrdiff_t)width, width);
 }
 
-/* Clear the pixels of row y outside of the places, a plane of half the size, 255 within them. */
-static void keep_places(uint8_t *restrict row, const uint8_t *restrict places, int32_t y, int32_t width) {
-    const uint8_t *restrict kept = places + (ptrdiff_t)(y / 2) * (width / 2);
-    for (int32_t x = 0; x < width / 2; x++) {
+/* Pixels `from <= x < to` of a row; `from` is a multiple of 64, and so is `to` unless it is the end of the row. */
+typedef struct { int32_t from, to; } Segment;
+
+/* Return whether 64 pixels of a row from x on have a place. `kept` is a row of the places, of half the size. */
+static int has_place(const uint8_t *kept, int32_t x, int32_t width) {
+    const int32_t end = x + BITS < width ? x + BITS : width;
+    uint8_t any = 0;
+    for (int32_t i = x / 2; i < end / 2; i++) any |= kept[i];
+    return any;
+}
+
+/* Return the first segment from x on that has places all along; it is empty at the end of the row. */
+static Segment next_segment(const uint8_t *kept, int32_t x, int32_t width) {
+    while (x < width && !has_place(kept, x, width)) x += BITS;
+    Segment segment = {x < width ? x : width, x};
+    while (segment.to < width && has_place(kept, segment.to, width)) segment.to += BITS;
+    segment.to = segment.to < width ? segment.to : width;
+    return segment;
+}
+
+/* Clear the pixels of a segment outside of the places. */
+static void keep_places(uint8_t *restrict row, const uint8_t *restrict kept, Segment segment) {
+    for (int32_t x = segment.from / 2; x < segment.to / 2; x++) {
         row[2 * x] &= kept[x];
         row[2 * x + 1] &= kept[x];
     }
@@ -177,14 +206,32 @@ static uint8_t packed(const uint8_t *pixels) {
     return (uint8_t)eight;
 }
 
-/* Write row y of a mask from its pixels, 0 or 255. */
-static void pack_row(const uint8_t *pixels, const Mask *mask, int32_t y) {
-    uint8_t *row = mask_row(mask, y), rest[BITS_PER_BYTE] = {0};
-    const int32_t whole = mask->width / BITS_PER_BYTE, left = mask->width % BITS_PER_BYTE;
-    for (int32_t byte = 0; byte < whole; byte++) row[byte] = packed(pixels + BITS_PER_BYTE * (ptrdiff_t)byte);
-    memset(row + whole, 0, (size_t)(mask->stride - WORD_BYTES - whole));
-    memcpy(rest, pixels + BITS_PER_BYTE * (ptrdiff_t)whole, (size_t)left);
-    if (left) row[whole] = packed(rest);
+/* Write a segment of a mask's row, whose bits are 0, from its pixels, 0 or 255. */
+static void pack(const uint8_t *pixels, uint8_t *row, Segment segment) {
+    const int32_t first = segment.from / BITS_PER_BYTE, end = segment.to / BITS_PER_BYTE, left = segment.to % BITS_PER_BYTE;
+    for (int32_t byte = first; byte < end; byte++) row[byte] = packed(pixels + BITS_PER_BYTE * (ptrdiff_t)byte);
+    uint8_t rest[BITS_PER_BYTE] = {0};
+    memcpy(rest, pixels + BITS_PER_BYTE * (ptrdiff_t)end, (size_t)left);
+    if (left) row[end] = packed(rest);
+}
+
+static void clear_row(const Mask *mask, int32_t y) {
+    memset(mask_row(mask, y), 0, (size_t)(mask->stride - WORD_BYTES));
+}
+
+/* Find the dark pixels of row y of the sharpened image where it has places; both windows' columns are summed. */
+static void threshold_row(const Box boxes[BOXES], const uint8_t *kept, int32_t y, int32_t darker, Workspace *work) {
+    const int32_t width = boxes[0].width;
+    const uint8_t *sharp = work->sharp + y % SHARP_ROWS * (ptrdiff_t)width;
+    Segment segment = next_segment(kept, 0, width);
+    for (; segment.from < width; segment = next_segment(kept, segment.to, width)) {
+        const int32_t from = segment.from;
+        box_means(boxes + SMALL_WINDOW, from, segment.to, work->smooth);
+        box_means(boxes + LARGE_WINDOW, from, segment.to, work->wide);
+        compare(work->smooth + from, work->wide + from, sharp + from, work->compared + from, segment.to - from, darker);
+        keep_places(work->compared, kept, segment);
+        pack(work->compared, mask_row(&work->dark, y), segment);
+    }
 }
 
 /* Find the pixels of the sharpened image that are darker than the larger of two local means.
@@ -199,12 +246,10 @@ int threshold(const uint8_t *image, const uint8_t *places, int32_t width, int32_
     const int32_t reach = (small_px > large_px ? small_px : large_px) / 2;
     for (int32_t y = 0; y < height; y++) {
         while (steps.sharp_rows <= y + reach && steps.sharp_rows < height) next_sharp_row(work, &steps);
-        box_row(steps.boxes + SMALL_WINDOW, y, work->smooth);
-        box_row(steps.boxes + LARGE_WINDOW, y, work->wide);
-        const uint8_t *sharp = work->sharp + y % SHARP_ROWS * (ptrdiff_t)width;
-        compare(work->smooth, work->wide, sharp, work->compared, width, parameters->darker);
-        keep_places(work->compared, places, y, width);
-        pack_row(work->compared, &work->dark, y);
+        sum_columns(steps.boxes + SMALL_WINDOW, y);
+        sum_columns(steps.boxes + LARGE_WINDOW, y);
+        clear_row(&work->dark, y);
+        threshold_row(steps.boxes, places + (ptrdiff_t)(y / 2) * (width / 2), y, parameters->darker, work);
     }
     return 0;
 }
@@ -215,7 +260,8 @@ void threshold_plain(const uint8_t *image, int32_t width, int32_t height, int32_
     for (int32_t y = 0; y < height; y++) {
         box_row(&box, y, work->wide);
         compare(work->wide, work->wide, image + (ptrdiff_t)y * width, work->compared, width, darker);
-        pack_row(work->compared, &work->dark, y);
+        clear_row(&work->dark, y);
+        pack(work->compared, mask_row(&work->dark, y), (Segment){0, width});
     }
 }
 

@@ -13,6 +13,7 @@ from skyherd.vision.photometric.evidence.shade import without_shade
 
 CELL_PX, MARGIN_PX = 6, 30
 DICTIONARY = "4X4_50"
+ONE = np.ones(1, dtype=bool)
 
 
 def corners(n: int) -> np.ndarray:
@@ -43,7 +44,7 @@ def test_shaded_side_gets_the_light_of_the_other(angle: float, factor: float) ->
     levels = card(marker_cells(DICTIONARY, 9))
     bare, under = (Readings.read(shaded(levels, k, angle, 3.0), corners(6), 6) for k in (1.0, factor))
     assert np.mean(np.abs(under.levels - bare.levels) > 20) > 0.25
-    lit = without_shade(under, DICTIONARY).levels
+    lit = without_shade(under, DICTIONARY)[0].levels
     assert np.mean(np.abs(lit - bare.levels) > 20) < 0.08
     assert np.median(np.abs(lit - bare.levels)) < 4
 
@@ -52,9 +53,9 @@ def test_even_light_is_left_as_it_is() -> None:
     """Also under a gradient of light, which is no edge."""
     levels = card(marker_cells(DICTIONARY, 9))
     even = Readings.read(shaded(levels, 1.0, 0.0, 0.0), corners(6), 6)
-    np.testing.assert_array_equal(without_shade(even, DICTIONARY).levels, even.levels)
+    np.testing.assert_array_equal(without_shade(even, DICTIONARY)[0].levels, even.levels)
     tilted = Readings.read(shaded(levels * np.linspace(0.95, 1.05, len(levels)), 1.0, 0, 0), corners(6), 6)
-    np.testing.assert_array_equal(without_shade(tilted, DICTIONARY).levels, tilted.levels)
+    np.testing.assert_array_equal(without_shade(tilted, DICTIONARY)[0].levels, tilted.levels)
 
 
 @pytest.mark.parametrize("edges", [0, 2])
@@ -83,7 +84,7 @@ def test_edges_count_only_where_they_raise_the_odds(monkeypatch: pytest.MonkeyPa
     assert before.log_odds[0] < min_log_odds(DICTIONARY)
     monkeypatch.setattr(likelihood, "MAX_SHADOW_EDGES", 2)
     noise = rng.uniform(0, 255, (1, 576))
-    monkeypatch.setattr(likelihood, "without_shade", lambda readings, _: readings.with_levels(noise))
+    monkeypatch.setattr(likelihood, "without_shade", lambda readings, _: (readings.with_levels(noise), ONE))
     after = marker_odds(image, corners(6), DICTIONARY)
     assert (after.ids, after.log_odds) == (before.ids, before.log_odds)
 

@@ -131,6 +131,10 @@ class Readings(RowRecord):
         seen = (~_under_glare(levels, n_cells)).astype(float)
         return cls(levels, _weights(corners_px, n_cells), *_ranges(levels, n_cells), seen)
 
+    def unseen(self, spoilt: npt.NDArray[np.bool_]) -> "Readings":
+        """Return these readings without spoilt parts (N, parts)."""
+        return replace(self, seen=np.where(spoilt, 0.0, self.seen))
+
     def with_levels(self, levels: Array) -> "Readings":
         """Return these readings with other grey levels (N, parts)."""
         scales, ranges = _ranges(levels, self.n_cells)

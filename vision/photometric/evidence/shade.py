@@ -8,7 +8,7 @@ readings beyond it are divided by its λ.
 
 import numpy as np
 
-from skyherd.geometry import Array
+from skyherd.geometry import Array, BoolArray
 from skyherd.vision.photometric.evidence.readings import (
     Readings,
     draw_codes,
@@ -49,10 +49,11 @@ MIN_SUM = 1e-9
 """Smallest sum that is divided by."""
 
 
-def without_shade(readings: Readings, dictionary: str) -> Readings:
+def without_shade(readings: Readings, dictionary: str) -> tuple[Readings, BoolArray]:
     """Return the readings of N candidates with the light beyond one line brought to that before it.
 
-    They are left as they are where the factor of the best line is beyond its limits.
+    They are left as they are where the factor of the best line is beyond its limits. Also returned is which
+    (N,) have changed.
     """
     codes = nearest_codes(readings, dictionary)[0][:, :CODES]
     _, clips, drawn = draw_codes(readings, codes, dictionary)
@@ -68,7 +69,8 @@ def without_shade(readings: Readings, dictionary: str) -> Readings:
     _, factors = _fit_lines(readings, white, distances, BAND_SIDES)
     has_edge = np.isfinite(left[rows, 0, best])[:, None] & (factors[:, 0] > MIN_FACTOR)
     is_shaded = has_edge & (distances[:, 0] > 0)
-    return readings.with_levels(np.where(is_shaded, readings.levels / factors[:, 0], readings.levels))
+    levels = np.where(is_shaded, readings.levels / factors[:, 0], readings.levels)
+    return readings.with_levels(levels), is_shaded.any(axis=1)
 
 
 def _distances_from_lines(n_cells: int, lines: Array) -> Array:

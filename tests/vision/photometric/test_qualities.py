@@ -82,6 +82,14 @@ def test_doubtful_markers_need_pixels_that_agree(place_markers, draw_markers, mo
     assert found_under_glare(place_markers, draw_markers).keys() == sure.keys()
 
 
+def test_fits_that_agree_with_the_edges_count(place_markers, draw_markers, monkeypatch):
+    """If fits had to explain the readings better than the edges, fewer would be robust and fewer found."""
+    found = found_under_glare(place_markers, draw_markers)
+    monkeypatch.setattr(measure, "MAX_LOG_LOSS", 0.0)
+    better = found_under_glare(place_markers, draw_markers)
+    assert better.keys() < found.keys() and len(found) >= len(better) + 2
+
+
 @pytest.mark.parametrize("dictionary", ["4X4_50", "4X4_1000", "5X5_100", "APRILTAG_36h11"])
 def test_robust_fits_need_no_more_odds_than_others(dictionary):
     """Also of the weakest dictionaries, whose markers cannot have the odds of the constant."""

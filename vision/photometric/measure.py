@@ -10,8 +10,8 @@
    evidence too, and with one lower log odds suffice. `FitResults.qualities` says which.
 
 A verified fit is not asked for its likelihood, which would change little. Measured: of 1978 verified markers
-on photographs one has hopeless log odds. Of 30,000 shapes that are no markers (`benchmarks/clutter.py`) one
-is verified, a picture frame, and one accepted by its odds, random bits that blur makes marker 17 of 4X4_50.
+on photographs one has hopeless log odds. Of 30,000 shapes that are no markers one is accepted, a picture
+frame (`benchmarks/clutter.py`).
 """
 
 from collections.abc import Callable

@@ -23,9 +23,9 @@ from skyherd.errors import InputError
 from skyherd.live.cameras import check_camera
 from skyherd.live.cockpit import PageAddress
 from skyherd.live.lab import load_lab
+from skyherd.live.line_writer import NAME
 from skyherd.live.mailbox import Air, Mailbox
 from skyherd.live.operator import Outcome, watch
-from skyherd.live.screen import THREAD
 from skyherd.live.session import MAX_KEYS, _dashboard, _keys, _processes, _windows_key, run_session
 from skyherd.live.supervisor import Child, Supervisor
 from skyherd.live.wire import Heartbeat
@@ -162,7 +162,7 @@ def test_run_without_units_or_robots_ends_with_exit_code(
     left: list[int] = []
     monkeypatch.setattr(Supervisor, "add", add)
     monkeypatch.setattr("skyherd.live.session.ZenohRadio", Silence)
-    monkeypatch.setattr("skyherd.live.screen.leave_held_terminal", left.append)
+    monkeypatch.setattr("skyherd.live.line_writer.leave_if_held", left.append)
     streams = "tcp://127.0.0.1:9,tcp://127.0.0.1:9"
     found, out, _ = call(capsys, "live", "run", "webcams", "--out", folder, "--cameras", streams)
     assert found == code and left == [code]
@@ -174,15 +174,16 @@ def test_run_without_units_or_robots_ends_with_exit_code(
 
 HELD_TO_THE_END = """
 import os, pty, sys, termios
-from skyherd.live import screen
+from skyherd.live import line_writer
+from skyherd.live.screen import Screen
 master, slave = pty.openpty()
 termios.tcflow(slave, termios.TCOOFF)
 file = os.fdopen(slave, "w")
-screen.CLOSE_S = 0.2
-shown = screen.Screen(None, lambda line: (file.write(line), file.flush()))
+line_writer.CLOSE_S = 0.2
+shown = Screen(None, lambda line: (file.write(line), file.flush()))
 shown.tell("a line")
 assert not shown.close()
-screen.leave_held_terminal(7)
+line_writer.leave_if_held(7)
 sys.exit("the process went on")
 """
 
@@ -294,7 +295,7 @@ def held_terminal():
     termios.tcflow(slave, termios.TCOON)
     os.close(master)  # A writer gets an error from now on.
     for thread in threading.enumerate():
-        if thread.name == THREAD:
+        if thread.name.startswith(NAME):
             thread.join(5.0)
     with suppress(OSError):
         file.close()
@@ -348,7 +349,7 @@ class TestRun:
         self, scripted_run, held_terminal, monkeypatch, shows_dashboard
     ) -> None:
         """The page asks for a stop after the terminal was held, as by Ctrl-S; then the run is ended."""
-        monkeypatch.setattr("skyherd.live.screen.CLOSE_S", 0.2)
+        monkeypatch.setattr("skyherd.live.line_writer.CLOSE_S", 0.2)
         if shows_dashboard:
             monkeypatch.setattr("skyherd.live.session.Console", lambda: held_terminal)
         urls, asked_s, polls = [], [], iter(range(1000))
@@ -368,7 +369,7 @@ class TestRun:
 
         assert scripted_run.run(ended=ended, page=PageAddress("127.0.0.1", 0), say=say) == 0
         assert scripted_run.stops_s[0] - asked_s[0] < 1.0
-        assert any(thread.name == THREAD for thread in threading.enumerate()), "the terminal is held"
+        assert any(thread.name.startswith(NAME) for thread in threading.enumerate()), "the terminal is held"
         assert all(child.code is not None for child in scripted_run.children)
 
     def test_page_whose_port_is_taken_leaves_no_folder(self, scripted_run) -> None:
@@ -558,6 +559,28 @@ class TestSupervisor:
             time.sleep(0.01)
         supervisor.say("live", "the end")
         assert len(told) == 2001 and supervisor.end() == []
+
+    def test_disk_that_hangs_holds_neither_caller_nor_processes(self, tmp_path, monkeypatch) -> None:
+        """The log is a pipe without a reader at work, which is full after a few hundred lines."""
+        monkeypatch.setattr("skyherd.live.line_writer.CLOSE_S", 0.2)
+        log, told = tmp_path / "live.log", []
+        os.mkfifo(log)
+        reader = os.open(log, os.O_RDONLY | os.O_NONBLOCK)
+        supervisor = Supervisor(log, told.append)
+        lines = "for number in range(2000): print('a line of some length' * 10, number)"
+        supervisor.take(Child("robot/1", [sys.executable, "-c", lines]))
+        began_s = time.monotonic()
+        while len(told) < 2000 and time.monotonic() < began_s + 10:
+            supervisor.say("live", "something else") if not len(told) % 100 else time.sleep(0.001)
+        assert sum("robot/1" in line for line in told) == 2000
+        assert supervisor.end() == [] and time.monotonic() < began_s + 5
+        writers = [thread for thread in threading.enumerate() if thread.name.startswith(NAME)]
+        assert writers, "the log is held to the end"
+        while any(thread.is_alive() for thread in writers):
+            with suppress(BlockingIOError):
+                os.read(reader, 2**16)
+        supervisor._file.close()
+        os.close(reader)
 
     def test_end_returns_surviving_processes(self, tmp_path, monkeypatch) -> None:
         """A process that waits for a device cannot be killed. Here, `kill` has no effect."""

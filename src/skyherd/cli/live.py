@@ -154,7 +154,7 @@ def run(
     """
     from skyherd.live.cockpit import PageAddress
     from skyherd.live.lab import load_lab
-    from skyherd.live.screen import leave_held_terminal
+    from skyherd.live.line_writer import leave_if_held
     from skyherd.live.session import run_session
 
     lab = load_lab(lab_file, settings or [])
@@ -176,7 +176,7 @@ def run(
             say=say,
             ended=request.is_asked,
         )
-    leave_held_terminal(request.exit_code or code)
+    leave_if_held(request.exit_code or code)
     return request.exit_code or code
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
+from skyherd.live.line_writer import LineWriter
 from skyherd.text import printable
 
 FIRST_WAIT_S, MAX_WAIT_S = 0.5, 8.0
@@ -26,6 +27,9 @@ the last chunk of a recording needs less."""
 KILL_S = 5.0
 """Longest wait for a killed process, s. Chosen: the operating system ends it at once, unless it waits for
 a device."""
+
+MAX_WAITING_LINES = 100_000
+"""Lines of the log that wait while its disk hangs; older ones are lost. Chosen: hours of a run, 10 MB."""
 
 WRONG = 2
 """Exit code of a process that refused its input."""
@@ -62,6 +66,8 @@ class Supervisor:
     The standard input of each process is a pipe held by this process. When this process ends for any reason,
     they read the end of the pipe and end too.
 
+    The log is written by a thread of its own: a disk that hangs holds neither the processes nor the caller.
+
     Args:
         log: file of all output lines.
         tell: called with every line, prefixed with the time and the name of its process. It must not block:
@@ -70,7 +76,8 @@ class Supervisor:
 
     def __init__(self, log: Path, tell: Callable[[str], None] = lambda line: None) -> None:
         self.children: list[Child] = []
-        self._log: IO[str] = log.open("a", encoding="utf-8")
+        self._file: IO[str] = log.open("a", encoding="utf-8")
+        self._log = LineWriter(self._write, MAX_WAITING_LINES)
         self._tell, self._lock = tell, threading.Lock()
 
     def add(self, name: str, arguments: Sequence[str]) -> None:
@@ -135,22 +142,23 @@ class Supervisor:
             child.code = child.process.returncode
             if child.code is not None:
                 child.process = None
-        with self._lock, suppress(OSError):
-            self._log.close()
+        if self._log.close():
+            with suppress(OSError):
+                self._file.close()
         return [child.name for child in self.children if child.process is not None]
 
     def say(self, name: str, line: str) -> None:
         """Write a line from or about a process into the log."""
         text = f"{time.strftime('%H:%M:%S')} {name:9} {printable(line)}"
-        with self._lock:
-            with suppress(OSError):  # A full disk does not end the run.
-                if not self._log.closed:
-                    self._log.write(text + "\n")
-                    self._log.flush()
-            # Within the lock, so that lines of several processes are not glued together. A terminal or pipe
-            # that is gone does not end the run.
-            with suppress(OSError):
-                self._tell(text)
+        self._log.put(text)
+        # Within the lock, so that lines of several processes are not glued together. A terminal or pipe that
+        # is gone does not end the run.
+        with self._lock, suppress(OSError):
+            self._tell(text)
+
+    def _write(self, line: str) -> None:
+        self._file.write(line + "\n")
+        self._file.flush()
 
     def _start(self, child: Child) -> None:
         child.code, child.started_s = None, time.monotonic()

@@ -133,8 +133,6 @@ def _lines(n_cells: int) -> _Lines:
     steps = np.arange(-reach, reach + STEP_PARTS / 2, STEP_PARTS)
     offsets, widths = (part.ravel() for part in np.meshgrid(steps, WIDTHS_PARTS))
     ascending = np.sort(places, axis=1)
-    begins, ends = (
-        np.stack([np.searchsorted(one, offsets + side * widths / 2, how) for one in ascending])
-        for side, how in ((-1, "left"), (1, "right"))
-    )
+    begins = np.stack([np.searchsorted(one, offsets - widths / 2, "left") for one in ascending])
+    ends = np.stack([np.searchsorted(one, offsets + widths / 2, "right") for one in ascending])
     return _Lines(places, places.argsort(axis=1), offsets, widths, begins, ends)

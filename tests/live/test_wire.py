@@ -111,6 +111,23 @@ class TestMailbox:
         assert len(list(mailbox.fetch())) == 4999
         assert mailbox.dropped == 1001
 
+    def test_flood_does_not_hold_the_caller(self) -> None:
+        """Another message arrives with each that is processed."""
+        air = Air()
+        mailbox = Mailbox(air.radio("unit/0"), TEAM, "unit/0", lambda: 0.0, ["**"])
+        other = Mailbox(air.radio("unit/1"), TEAM, "unit/1", lambda: 0.0, [])
+        for waiting in (3, 6):
+            for _ in range(3):
+                other.send(Stop("other"))
+            air.advance(1.0)
+            fetched = 0
+            for _ in mailbox.fetch(1.0):
+                fetched += 1
+                assert fetched <= waiting
+                other.send(Stop("other"))
+                air.advance(1.0)
+            assert fetched == waiting
+
 
 def test_air_drops_delays_and_orders_by_arrival() -> None:
     air = Air(drop=lambda topic, receiver: receiver == "deaf")

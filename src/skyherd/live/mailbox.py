@@ -97,14 +97,17 @@ class Mailbox:
         return envelope
 
     def fetch(self, timeout_s: float = 0.0) -> Iterator[Arrival]:
-        """Yield the received messages in order. Wait up to `timeout_s` for the first one."""
-        wait = timeout_s > 0
-        while True:
+        """Yield the received messages in order. Wait up to `timeout_s` for the first one.
+
+        Messages that arrive after the first was yielded are left to the next call, so that a flood of them
+        does not hold the caller.
+        """
+        for number in range(max(self._waiting.qsize(), 1)):
+            wait = number == 0 and timeout_s > 0
             try:
                 data, received_s = self._waiting.get(block=wait, timeout=timeout_s if wait else None)
             except queue.Empty:
                 return
-            wait = False
             try:
                 envelope = decode(data, self._team)
             except Refused as error:

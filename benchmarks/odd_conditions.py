@@ -96,6 +96,23 @@ def glare(levels: Grey, centers: Array, rng: np.random.Generator, radius: float)
     return np.minimum(levels, 255.0).astype(np.float32)
 
 
+def reflected(levels: Grey, centers: Array, rng: np.random.Generator, share: float) -> Grey:
+    """Add a lamp's reflection to each marker, a streak 7 px wide, as bright at most as a share of white."""
+    y, x = np.indices(levels.shape)
+    points, angles = near_markers(centers, rng, 0.3), rng.uniform(0, np.pi, len(centers))
+    for (u, v), angle in zip(points, angles, strict=True):
+        along = np.cos(angle) * (x - u) + np.sin(angle) * (y - v)
+        across = np.cos(angle) * (y - v) - np.sin(angle) * (x - u)
+        levels = levels + 255 * share * np.exp(-(along**2) / (2 * 14.0**2) - across**2 / (2 * 3.0**2))
+    return np.minimum(levels, 255.0).astype(np.float32)
+
+
+def banded(levels: Grey, centers: Array, rng: np.random.Generator, share: float) -> Grey:
+    """Vary the light by a share with a period of 40 rows, as lamps on a rolling shutter do."""
+    waves = np.arange(len(levels))[:, None] * 2 * np.pi / 40 + rng.uniform(0, 2 * np.pi)
+    return (levels * (1 + share * np.sin(waves))).astype(np.float32)
+
+
 def interlaced(levels: Grey, centers: Array, rng: np.random.Generator, shift_px: float) -> Grey:
     """Shift every second row to the right, and the others to the left, by half of so many pixels."""
     moved = [
@@ -322,6 +339,8 @@ CONDITIONS: dict[str, tuple[Callable[..., Grey], float, float]] = {
     "none": (unchanged, 0.0, 0.0),
     "small glare, radius in sides": (glare, 0.08, 0.07),
     "glare, radius in sides": (glare, 0.13, 0.11),
+    "lamp's reflection, share of white": (reflected, 0.55, 0.45),
+    "lamp bands, share": (banded, 0.45, 0.35),
     "interlaced, px": (interlaced, 3.0, 2.0),
     "salt, share": (salt, 0.08, 0.06),
     "salt and pepper, share": (salt_and_pepper, 0.08, 0.06),

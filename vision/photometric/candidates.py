@@ -36,7 +36,7 @@ MIN_CUT_ANISOTROPY, MAX_CUT_SKEW = 0.15, 0.3
 own axes. Chosen: half of a marker has 0.33, all along its sides, and markers seen at 40 degrees have 0.13.
 Measured on 7,200 markers of 4X4_50 that the border cuts: 26 halves pass for marker 17, with 0.33."""
 
-MIN_SIDE_PX = 1e-6
+MIN_DIVISOR_PX = 1e-6
 """Smallest side that is divided by, px. Chosen far below that of any marker."""
 
 
@@ -173,7 +173,7 @@ def may_be_cut(homographies: LocalHomographies, plane: Plane, size_px: tuple[int
     is_part &= np.abs(narrower.imag) < MAX_CUT_SKEW * np.abs(narrower.real)
     right, down = m + homographies.anisotropies, 1j * (m - homographies.anisotropies)
     longer, shorter = (np.where(narrower.real > 0, *pair) for pair in ((right, down), (down, right)))
-    beyond = (np.abs(longer) / np.maximum(np.abs(shorter), MIN_SIDE_PX) - 0.5) * shorter
+    beyond = (np.abs(longer) / np.maximum(np.abs(shorter), MIN_DIVISOR_PX) - 0.5) * shorter
     steps = [side * beyond + end * longer for side in (-1, 1) for end in (-0.5, 0.5)]
     corners = homographies.centers + np.stack(steps)
     inside = (corners.real >= 0) & (corners.real < width) & (corners.imag >= 0) & (corners.imag < height)

@@ -16,7 +16,7 @@ of a troubled run."""
 
 
 class Screen:
-    """Lines, or a dashboard that fills the terminal. Neither call waits for the terminal.
+    """Lines, or a dashboard that fills the terminal. Only `close` waits for the terminal.
 
     While the terminal is held, the newest dashboard replaces the others, and new lines wait.
 

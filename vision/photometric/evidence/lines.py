@@ -17,13 +17,7 @@ import numpy as np
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.native.pattern_records import PARTS
 from skyherd.vision.photometric.evidence.pattern_fit import columns_of, densities, fit_patterns, whiteness
-from skyherd.vision.photometric.evidence.readings import (
-    Readings,
-    draw_codes,
-    exposed,
-    nearest_codes,
-    part_places,
-)
+from skyherd.vision.photometric.evidence.readings import Readings, nearest_patterns, part_places
 
 DIRECTIONS, STEP_PARTS, WIDTHS_PARTS = 24, 0.5, (1.0, 2.0, 3.0)
 """Directions of lines, steps between them, and their widths. Chosen: neighbouring lines overlap by half of
@@ -51,11 +45,9 @@ CODES = 2
 
 def without_line(readings: Readings, dictionary: str) -> tuple[Readings, BoolArray]:
     """Return the readings of N candidates without the likeliest line, and which (N,) have one."""
-    codes = nearest_codes(readings, dictionary)[0][:, :CODES]
-    _, clips, drawn = draw_codes(readings, codes, dictionary)
-    ratios = _log_ratios(readings, exposed(drawn, clips[..., None]))
+    ratios = _log_ratios(readings, nearest_patterns(readings, dictionary, CODES))
     lines, best = _lines(readings.n_cells), ratios.argmax(axis=1)
-    has_line = ratios[np.arange(len(codes)), best] > MIN_LOG_RATIO
+    has_line = ratios[np.arange(len(best)), best] > MIN_LOG_RATIO
     return readings.unseen(lines.covered(best % lines.count) & has_line[:, None]), has_line
 
 

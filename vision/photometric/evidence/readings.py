@@ -245,6 +245,13 @@ def draw_codes(
     return blurs, clips, drawn
 
 
+def nearest_patterns(readings: Readings, dictionary: str, count: int) -> Array:
+    """Return the whiteness (N, count, parts) that the codes would show that resemble the readings most."""
+    codes = nearest_codes(readings, dictionary)[0][:, :count]
+    _, clips, drawn = draw_codes(readings, codes, dictionary)
+    return exposed(drawn, clips[..., None])
+
+
 def _drawn_most_alike(
     readings: Readings, codes: IntArray, dictionary: str, *, clips: bool
 ) -> tuple[IntArray, Array, Array]:

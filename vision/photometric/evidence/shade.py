@@ -9,13 +9,7 @@ readings beyond it are divided by its λ.
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray
-from skyherd.vision.photometric.evidence.readings import (
-    Readings,
-    draw_codes,
-    exposed,
-    nearest_codes,
-    part_places,
-)
+from skyherd.vision.photometric.evidence.readings import Readings, nearest_patterns, part_places
 
 
 def _pairs(directions: Array, distances: Array) -> Array:
@@ -55,12 +49,10 @@ def without_shade(readings: Readings, dictionary: str) -> tuple[Readings, BoolAr
     They are left as they are where the factor of the best line is beyond its limits. Also returned is which
     (N,) have changed.
     """
-    codes = nearest_codes(readings, dictionary)[0][:, :CODES]
-    _, clips, drawn = draw_codes(readings, codes, dictionary)
-    white = exposed(drawn, clips[..., None])
-    rows, n_cells = np.arange(len(codes)), readings.n_cells
+    white = nearest_patterns(readings, dictionary, CODES)
+    rows, n_cells = np.arange(len(white)), readings.n_cells
     left, _ = _fit_lines(readings, white, _distances_from_lines(n_cells, FIRST_LINES))
-    code, line = np.divmod(left.reshape(len(codes), -1).argmin(axis=1), len(FIRST_LINES))
+    code, line = np.divmod(left.reshape(len(white), -1).argmin(axis=1), len(FIRST_LINES))
     white = white[rows, code][:, None]
     lines = FIRST_LINES[line][:, None] + FINER_CHANGES
     left, _ = _fit_lines(readings, white, _distances_from_lines(n_cells, lines))

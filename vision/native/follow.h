@@ -47,7 +47,7 @@ typedef struct {
 
 /* Constants of following; the Python modules that have them say why. */
 typedef struct {
-    double reach_sides;                                                             /* tracks.py */
+    double reach_sides, max_log_growth;                                             /* tracks.py */
     double quiet, outside_sigmas, inside_sigmas, ground_sigmas, texture, black_ratio; /* fitting/appearance.py */
     double max_side_px, min_sigma_px, max_sigma_cells, blur_settled, max_log_blur_difference, max_wrong_share;
     double streak_pixels, significant, min_streak_px2, streak_ridge;                /* refine.py, streak_evidence.py */
@@ -97,7 +97,7 @@ double weighted_median(Weighted *values, int64_t count);
 double within_blur_limits(const FollowConstants *constants, const Fit *fit, int32_t n);
 Appearance appearance_of(const FollowConstants *constants, double sigma);
 Complex image_of(const Homography *at, Complex z);
-void predict(const Track *track, double time_s, Homography *place);
+void predict(const Track *track, double time_s, double max_log_growth, Homography *place);
 double shift_sides(const Homography *before, const Homography *after);
 void find_in_view(const FollowRequest *given, FollowResults *results);
 void update_tracks(const FollowRequest *given, const double *sigmas_px, FollowResults *results);

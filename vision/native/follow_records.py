@@ -71,7 +71,8 @@ class FollowConstants(ctypes.Structure):
     """Constants of following; `follow.h` has the same fields, and says which module defines each."""
 
     _fields_ = (
-        *_doubles("reach_sides quiet outside_sigmas inside_sigmas ground_sigmas texture black_ratio"),
+        *_doubles("reach_sides max_log_growth"),
+        *_doubles("quiet outside_sigmas inside_sigmas ground_sigmas texture black_ratio"),
         *_doubles("max_side_px min_sigma_px max_sigma_cells blur_settled max_log_blur_difference"),
         *_doubles("max_wrong_share streak_pixels significant min_streak_px2 streak_ridge"),
         *_doubles("outlier_share outlier_sigmas rounding_noise median_difference learning_rate forgotten"),

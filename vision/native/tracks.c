@@ -16,6 +16,12 @@ static double elapsed_s(const Track *track, double time_s) {
     return time_s > track->time_s ? time_s - track->time_s : 1.0 + (double)track->missed;
 }
 
+/* Return the factor by which a similarity turns and grows within a time, s; the growth is limited. */
+static Complex turn_within(Complex log_rate, double elapsed_s, double max_log_growth) {
+    const Complex sum = scaled(log_rate, elapsed_s);
+    return exponential((Complex){fmax(-max_log_growth, fmin(sum.re, max_log_growth)), sum.im});
+}
+
 /* Return the image of a point of a marker's plane: p_0 + d / (1 + Re(h̄ d)), d = m z + k z̄. */
 Complex image_of(const Homography *at, Complex z) {
     const Complex away = plus(times(at->similarity, z), times(at->anisotropy, conjugate(z)));
@@ -23,10 +29,10 @@ Complex image_of(const Homography *at, Complex z) {
 }
 
 /* Predict a marker's homography: similarities go on turning and growing, and centres on an arc go on with them. */
-void predict(const Track *track, double time_s, Homography *place) {
+void predict(const Track *track, double time_s, double max_log_growth, Homography *place) {
     const Homography *last = &track->homography;
     const double elapsed = elapsed_s(track, time_s);
-    const Complex turn = exponential(scaled(track->similarity_log_rate, elapsed));
+    const Complex turn = turn_within(track->similarity_log_rate, elapsed, max_log_growth);
     const Complex velocity = track->on_arc ? times(track->velocity, turn) : track->velocity;
     *place = (Homography){
         plus(last->center, scaled(velocity, elapsed)),
@@ -58,7 +64,7 @@ void find_in_view(const FollowRequest *given, FollowResults *results) {
     for (int64_t k = 0; k < given->count; k++) {
         const Track *track = given->tracks + k;
         Homography *start = results->starts + results->here;
-        predict(track, given->time_s, start);
+        predict(track, given->time_s, given->constants->max_log_growth, start);
         int whole = 1;
         for (int corner = 0; corner < 4; corner++)
             whole &= is_inside(image_of(start, SQUARE_CORNERS[corner]), given->height, given->width);
@@ -69,15 +75,16 @@ void find_in_view(const FollowRequest *given, FollowResults *results) {
 }
 
 /* Return a track after an image that shows its marker. One far from its prediction is another place, and stands still. */
-static Track seen_track(const Track *last, double time_s, double reach_sides, const Homography *at, double sigma_px) {
+static Track seen_track(const Track *last, double time_s, const FollowConstants *constants, const Homography *at,
+                        double sigma_px) {
     Track track = {.id = last->id, .time_s = time_s, .homography = *at, .on_arc = 1, .sigma_px = sigma_px};
     Homography place;
-    predict(last, time_s, &place);
-    if (!(shift_sides(&place, at) <= reach_sides)) return track;
+    predict(last, time_s, constants->max_log_growth, &place);
+    if (!(shift_sides(&place, at) <= constants->reach_sides)) return track;
     const double elapsed = elapsed_s(last, time_s);
     track.velocity = scaled(minus(at->center, last->homography.center), 1 / elapsed);
     track.similarity_log_rate = scaled(logarithm(over(at->similarity, last->homography.similarity)), 1 / elapsed);
-    const Complex turned = times(last->velocity, exponential(scaled(last->similarity_log_rate, elapsed)));
+    const Complex turned = times(last->velocity, turn_within(last->similarity_log_rate, elapsed, constants->max_log_growth));
     track.on_arc = magnitude(minus(track.velocity, turned)) <= magnitude(minus(track.velocity, last->velocity));
     return track;
 }
@@ -90,7 +97,7 @@ void update_tracks(const FollowRequest *given, const double *sigmas_px, FollowRe
         const Track *last = given->tracks + k;
         if (next < results->here && results->rows[next] == k) {
             results->tracks[results->track_count++] = seen_track(
-                last, given->time_s, given->constants->reach_sides, &results->fits[next].homography, sigmas_px[next]);
+                last, given->time_s, given->constants, &results->fits[next].homography, sigmas_px[next]);
             next++;
         } else if (last->missed < given->constants->max_missed) {
             Track *kept = results->tracks + results->track_count++;

@@ -12,7 +12,7 @@ from skyherd.vision.photometric.fitting.local_homography import LocalHomographie
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.refine import START_SIGMA_PX
 from skyherd.vision.photometric.state import CameraState
-from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads, decode_quads, no_decoded_quads
+from skyherd.vision.search.decode import DecodedQuads, decode_quads, no_decoded_quads
 from skyherd.vision.search.edges import fit_edges
 
 PALE_SHARE = 0.3
@@ -20,6 +20,11 @@ PALE_SHARE = 0.3
 print contrast are not fitted. Measured: markers of 8 to 30 px at noise up to 10 show 0.79 or more, those that
 are blurred three times as much as the others 0.36. Of the dark patches of ground that resemble markers 95 %
 show 0.29 or less; they took a quarter of the detector's time in missions."""
+
+CLEAR_CORRELATION = 0.8
+"""Smallest correlation of a clear candidate's cells with a marker's. Measured: markers that only a fallback
+search finds have 0.83 to 0.99; at 0.6 photographs of clutter take twice the time, for fits of squares of a few
+pixels."""
 
 DOUBTFUL_CORRELATION = 0.4
 """Where candidates must be clear, quadrilaterals whose cells have this correlation with a marker, but not
@@ -45,7 +50,7 @@ class SearchPass:
     """Result of one search of an image.
 
     Attributes:
-        quads_px: (Q, 4, 2) corners of all quadrilaterals that were found, px.
+        quads_px: (Q, 4, 2) corners of the quadrilaterals that were found outside known markers, px.
         candidates: the N of them that resemble a marker, after non-maximum suppression.
         fits: of the N candidates, in their order.
         good: (N,) whether each is accepted as a marker, after non-maximum suppression.
@@ -64,9 +69,8 @@ class SearchPass:
         return self.fits.take(self.good)
 
     @classmethod
-    def empty(cls, dictionary: str, plane: Plane, quads_px: Array | None = None) -> "SearchPass":
+    def empty(cls, dictionary: str, plane: Plane, quads_px: Array) -> "SearchPass":
         """Return a search without candidates; `dictionary` is that of the markers."""
-        quads_px = np.zeros((0, 4, 2)) if quads_px is None else quads_px
         return cls(quads_px, no_decoded_quads(), no_fit_results(dictionary), np.zeros(0, dtype=bool), plane)
 
     def joined(self, other: "SearchPass") -> "SearchPass":
@@ -85,8 +89,9 @@ def find_candidates(
     dictionary: str,
     state: CameraState,
     quads_px: Array,
-    known: LocalHomographies,
-    min_correlation: float,
+    *,
+    beside_markers: bool,
+    clear: bool = False,
 ) -> DecodedQuads:
     """Return the quadrilaterals that resemble a marker, the best one of each place and id.
 
@@ -95,22 +100,24 @@ def find_candidates(
         dictionary: of the markers.
         state: of the camera.
         quads_px: (Q, 4, 2) corners, px, clockwise as seen, beginning with any of the four.
-        known: markers that are known; nothing within them is a candidate.
-        min_correlation: of a quadrilateral's cells with those of the marker that it resembles most.
+        beside_markers: whether other markers of the image are known; pale candidates are left out then.
+        clear: whether candidates must be clear.
     """
-    quads_px, sigma_px = quads_px[outside_markers(quads_px, known)], state.sigma_px or START_SIGMA_PX
-    if min_correlation == MIN_CORRELATION:
-        decoded = decode_quads(image, quads_px, dictionary, sigma_px)
-    else:
+    sigma_px = state.sigma_px or START_SIGMA_PX
+    if clear:
         decoded = decode_quads(image, quads_px, dictionary, sigma_px, DOUBTFUL_CORRELATION)
-        doubtful = decoded.corners_px[decoded.correlations < min_correlation]
+        doubtful = decoded.corners_px[decoded.correlations < CLEAR_CORRELATION]
         edges_px = fit_edges(image, doubtful, cells_per_side(dictionary)).corners_px
-        decoded = decoded.joined(decode_quads(image, edges_px, dictionary, sigma_px))
-    if len(known) and state.print_contrast is not None:
+        decoded = decoded.joined(decode_quads(image, edges_px, dictionary, sigma_px, CLEAR_CORRELATION))
+        decoded = decoded.take(decoded.correlations >= CLEAR_CORRELATION)
+    else:
+        decoded = decode_quads(image, quads_px, dictionary, sigma_px)
+    if beside_markers and state.print_contrast is not None:
         decoded = decoded.take(decoded.print_contrasts >= PALE_SHARE * state.print_contrast)
     start = LocalHomographies.of_corners(decoded.corners_px)
-    best = non_maximum_suppression(decoded.ids, start.centers, start.sides_px(), decoded.correlations)
-    return decoded.take(best & (decoded.correlations >= min_correlation))
+    return decoded.take(
+        non_maximum_suppression(decoded.ids, start.centers, start.sides_px(), decoded.correlations)
+    )
 
 
 def outside_markers(quads_px: Array, known: LocalHomographies) -> BoolArray:

@@ -41,7 +41,6 @@ from skyherd.vision.photometric.refine import with_usual_blur
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.crossed import find_crossed_quads
-from skyherd.vision.search.decode import MIN_CORRELATION
 from skyherd.vision.search.faint import find_faint_quads
 from skyherd.vision.search.quads import find_quads, find_small_quads
 
@@ -64,11 +63,6 @@ FAINT_SHARE = 0.025
 """While all markers are followed, searches look only where dark pixels crowd by this share of the contrast of
 the camera's markers. Chosen: a third of what markers of 9 px have, so that one in shade is still found;
 ground with texture has 0.01 of the contrast of usual prints, and otherwise all of it is searched."""
-
-CLEAR_CORRELATION = 0.8
-"""Smallest correlation of a quadrilateral's cells with a marker's in a fallback search. Measured: markers
-that it alone finds have 0.83 to 0.99; at 0.6 photographs of clutter take twice the time, for fits of squares
-of a few pixels."""
 
 LOOK_AROUND_INTERVAL = 10
 """A `DeferringDetector` searches one of this number of images whole, by parts. Chosen: the machine of a live
@@ -171,12 +165,12 @@ class PhotometricDetector:
 
         Unless it is to be done thoroughly, the fallback may be left out.
         """
-        state = replace(state, searches=state.searches + 1, unsearched=0)
+        state = replace(state, searches=state.searches + 1, unsearched=0, parts=0)
         interval = FALLBACK_AFTER_SUCCESS if state.is_fallback_useful else FALLBACK_INTERVAL
         if not thoroughly and state.searches < interval:
             min_darkness = FAINT_SHARE * (state.contrast or 0.0)
             quads = find_quads(image, to_points(followed.images(SQUARE_CORNERS)), min_darkness)
-            one = self._measured(image, state, quads, followed, MIN_CORRELATION)
+            one = self._measured(image, state, quads, followed)
             return replace(state, plane=one.plane), one.found
         first, second = self._search_with_fallback(image, state, followed)
         state = replace(state, plane=second.plane, searches=0, is_fallback_useful=bool(second.good.any()))
@@ -190,7 +184,7 @@ class PhotometricDetector:
         Verified markers of the fallback must be printed like those of the first search, or be markers beyond
         doubt. They do not change the plane that these lie on.
         """
-        first = self._measured(image, state, find_quads(image), followed, MIN_CORRELATION)
+        first = self._measured(image, state, find_quads(image), followed)
         found = first.found
         known = followed.joined(found.homographies)
         known_px = to_points(known.images(SQUARE_CORNERS))
@@ -198,7 +192,7 @@ class PhotometricDetector:
         faint = find_faint_quads(image, known_px, noise)
         crossed = find_crossed_quads(image, known_px)
         quads = np.concatenate([find_small_quads(image, known_px), faint, crossed])
-        second = self._measured(image, replace(state, plane=first.plane), quads, known, CLEAR_CORRELATION)
+        second = self._measured(image, replace(state, plane=first.plane), quads, known, clear=True)
         if not (first.good.any() and second.good.any()):
             return first, second
         alike = verified(found.joined(second.found), noise, code_distance(self.dictionary))[found.ids.size :]
@@ -215,13 +209,21 @@ class PhotometricDetector:
         state: CameraState,
         quads_px: Array,
         known: LocalHomographies,
-        min_correlation: float,
+        *,
+        clear: bool = False,
     ) -> SearchPass:
-        """Return quadrilaterals outside of known markers, decoded and measured."""
-        candidates = find_candidates(image, self.dictionary, state, quads_px, known, min_correlation)
+        """Return quadrilaterals outside of known markers, decoded and measured.
+
+        Enough known markers show the plane. It is then not that of the others alone.
+        """
         quads_px = quads_px[outside_markers(quads_px, known)]
-        plane = state.plane if len(known) >= MIN_MARKERS_ON_PLANE else OWN_PLANES
-        return measure_candidates(image, self.dictionary, state, quads_px, candidates, plane)
+        candidates = find_candidates(
+            image, self.dictionary, state, quads_px, beside_markers=len(known) > 0, clear=clear
+        )
+        given = image, self.dictionary, state, quads_px, candidates
+        if len(known) < MIN_MARKERS_ON_PLANE:
+            return measure_candidates(*given, OWN_PLANES)
+        return replace(measure_candidates(*given, state.plane), plane=state.plane)
 
 
 class DeferringDetector(PhotometricDetector):
@@ -243,7 +245,8 @@ class DeferringDetector(PhotometricDetector):
     def look_around(self, image: Image, *, unit_id: int = 0) -> None:
         """Search the image that was last given to `detect` for markers that are not followed, if it is time.
 
-        Of ten images the last `PARTS` are searched, by one part each. New markers are followed from now on.
+        From the ninth image on, one part of `PARTS` is searched in each call, and nine images after the last
+        one the first again. New markers are followed from now on.
         An id that is followed elsewhere already is followed no more, since it is at two places.
 
         Args:
@@ -254,19 +257,23 @@ class DeferringDetector(PhotometricDetector):
             InputError: the image is not a grey one of 8 bits, or is empty.
         """
         image, state = check_grey(image), self.states.get(unit_id)
-        part = -1 if state is None else state.unsearched - (LOOK_AROUND_INTERVAL - PARTS + 1)
-        if state is None or part < 0:
+        if state is None or state.unsearched <= LOOK_AROUND_INTERVAL - PARTS:
             return
+        part = state.parts
         known = state.tracks.seen.homographies
         known_px = to_points(known.images(SQUARE_CORNERS))
-        correlation = CLEAR_CORRELATION if part else MIN_CORRELATION
-        searched = self._measured(image, state, self._quads(part, image, known_px), known, correlation)
+        searched = self._measured(
+            image, state, self._quads(part, image, known_px), known, clear=part > 0
+        )
         found, state = searched.found, replace(state, plane=searched.plane)
         if found.ids.size:
             last_s = state.tracks.times_s.max(initial=0.0)
             tracks = state.tracks.with_others(last_s, found.ids, found.homographies, with_usual_blur(found))
             state = replace(state, tracks=tracks)
-        self.states[unit_id] = replace(state, unsearched=0) if part >= PARTS - 1 else state
+        is_last = part == PARTS - 1
+        self.states[unit_id] = replace(
+            state, parts=0 if is_last else part + 1, unsearched=0 if is_last else state.unsearched
+        )
 
     def _is_due(self, unsearched: int) -> bool:
         """Return False: `look_around` searches instead."""

@@ -142,6 +142,7 @@ def follow_constants(dictionary: str) -> FollowConstants:
     """Return the constants of following markers of a dictionary for the compiled library."""
     return FollowConstants(
         reach_sides=tracks.REACH_SIDES,
+        max_log_growth=tracks.MAX_LOG_GROWTH,
         quiet=appearance.quiet_zone(dictionary),
         outside_sigmas=appearance.OUTSIDE_SIGMAS,
         inside_sigmas=appearance.INSIDE_SIGMAS,

@@ -30,7 +30,6 @@ from skyherd.vision.photometric.tracks import (
     shifts_sides,
 )
 from skyherd.vision.photometric.verify import verified
-from skyherd.vision.search.decode import MIN_CORRELATION
 
 
 @dataclass(frozen=True)
@@ -140,8 +139,7 @@ def _find_near(
     """Return accepted markers near places, outside of known ones; the reach grows with images missed (N,)."""
     if not len(places):
         return no_fit_results(dictionary)
-    quads = find_quads_near(image, places, missed)
-    candidates = find_candidates(image, dictionary, state, quads, known, MIN_CORRELATION)
-    return measure_candidates(
-        image, dictionary, state, quads[outside_markers(quads, known)], candidates
-    ).found
+    quads_px = find_quads_near(image, places, missed)
+    quads_px = quads_px[outside_markers(quads_px, known)]
+    candidates = find_candidates(image, dictionary, state, quads_px, beside_markers=len(known) > 0)
+    return measure_candidates(image, dictionary, state, quads_px, candidates).found

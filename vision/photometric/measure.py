@@ -121,7 +121,8 @@ def measure_candidates(
 ) -> SearchPass:
     """Return candidates fitted, verified and decided about, with the quadrilaterals that they are from.
 
-    `known_plane` is that of other markers of the image, as far as they show it.
+    `known_plane` is that of other markers of the image, as far as they show it. Without an accepted marker
+    the plane stays that of the state.
     """
     if not candidates.ids.size:
         return SearchPass.empty(dictionary, state.plane, quads_px)
@@ -140,7 +141,7 @@ def measure_candidates(
     # Markers do not overlap: half of one may read as another, but no fit explains it.
     inside = within_better(shapes.centers, sides_px, found.qualities == Quality.PHOTOMETRIC)
     good[good] = ~inside & non_maximum_suppression(found.ids, shapes.centers, sides_px, merits)
-    return SearchPass(quads_px, candidates, fits, good, plane)
+    return SearchPass(quads_px, candidates, fits, good, plane if good.any() else state.plane)
 
 
 def _fit(

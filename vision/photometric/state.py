@@ -29,6 +29,7 @@ class CameraState:
         plane: common plane of the markers.
         tracks: the markers being followed.
         unsearched: images since the last search of a whole image.
+        parts: parts of the next search that a `DeferringDetector` has done.
         searches: searches since the last fallback search.
         is_fallback_useful: whether that fallback search found a marker.
         ratios: of the markers' variances to those that independent noise would give.
@@ -41,6 +42,7 @@ class CameraState:
     plane: Plane = field(default_factory=Plane)
     tracks: Tracks = field(default_factory=no_tracks)
     unsearched: int = 0
+    parts: int = 0
     searches: int = 0
     is_fallback_useful: bool = True
     ratios: PooledRatios = field(default_factory=PooledRatios)
@@ -55,7 +57,8 @@ class CameraState:
         rows = found.qualities == Quality.PHOTOMETRIC
         if rows.any():
             clean = found.take(rows)
-            sigma_px = _moved_towards(usual_sigma_px(clean), self.sigma_px)
+            usual_px = usual_sigma_px(clean)
+            sigma_px = _moved_towards(usual_px, self.sigma_px)
             state = replace(
                 state,
                 sigma_px=sigma_px,
@@ -66,7 +69,6 @@ class CameraState:
                 ),
                 ratios=self.ratios.updated(clean.variance_ratios, clean.boxes),
             )
-            usual_px = usual_sigma_px(clean)
             sigmas_px = with_usual_blur(found, usual_px)
             sigmas_px = np.where(sigmas_px == usual_px, sigma_px, sigmas_px)
         return replace(state, tracks=self.tracks.updated(time_s, found.ids, found.homographies, sigmas_px))

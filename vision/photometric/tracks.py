@@ -42,6 +42,10 @@ MAX_MISSED = 10
 """Images for which a marker that is not found is predicted on and searched for. Chosen: the image is searched
 whole twice meanwhile, so that nothing waits longer for a search than it would without."""
 
+MAX_LOG_GROWTH = 7.0
+"""Largest natural logarithm of a marker's predicted growth or shrinking. Chosen: a factor of 1000, beyond which
+nothing can be followed. A camera that is resumed after hours predicts no infinite marker."""
+
 MIN_SHIFT_SIDES = 0.02
 """Markers are fitted again only if the motion moves them by more than this, in their sides. Chosen: fits find
 a marker that lies a tenth of a side off, so that one that was missed for less is missed for another
@@ -104,7 +108,7 @@ class Tracks(RowRecord):
         similarities.
         """
         elapsed_s = self._elapsed_s(time_s)
-        turn = np.exp(self.similarity_log_rates * elapsed_s)
+        turn = self._turns(elapsed_s)
         return LocalHomographies(
             centers=self.homographies.centers + self.velocities * np.where(self.on_arc, turn, 1) * elapsed_s,
             similarities=self.homographies.similarities * turn,
@@ -129,7 +133,7 @@ class Tracks(RowRecord):
         last, elapsed_s = self.take(before), self._elapsed_s(time_s)[before]
         velocities[now] = (homographies.centers[now] - last.homographies.centers) / elapsed_s
         rates[now] = np.log(homographies.similarities[now] / last.homographies.similarities) / elapsed_s
-        turned = last.velocities * np.exp(last.similarity_log_rates * elapsed_s)
+        turned = last.velocities * last._turns(elapsed_s)
         on_arc[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - last.velocities)
         times_s, missed = np.full(ids.size, time_s), np.zeros(ids.size, dtype=np.int64)
         seen = Tracks(ids, times_s, homographies, velocities, rates, on_arc, sigmas_px, missed)
@@ -151,6 +155,11 @@ class Tracks(RowRecord):
     def _elapsed_s(self, time_s: float) -> Array:
         """Return the times (N,) since markers were seen; 1 s for each image if times do not increase."""
         return np.where(time_s > self.times_s, time_s - self.times_s, 1.0 + self.missed)
+
+    def _turns(self, elapsed_s: Array) -> ComplexArray:
+        """Return the factors (N,) by which similarities turn and grow within times (N,), s."""
+        logs = self.similarity_log_rates * elapsed_s
+        return np.exp(np.clip(logs.real, -MAX_LOG_GROWTH, MAX_LOG_GROWTH) + 1j * logs.imag)
 
     def _with(self, others: "Tracks") -> "Tracks":
         """Return these tracks and others, in ascending order of id."""

@@ -10,13 +10,17 @@ from skyherd.geometry import to_complex, to_points
 from skyherd.markers.dictionary import corners_of_pose, marker_cells
 from skyherd.vision import PhotometricDetector, Reason, explain
 from skyherd.vision.photometric import measure
-from skyherd.vision.photometric.candidates import find_candidates, may_be_cut, within_better
-from skyherd.vision.photometric.detector import CLEAR_CORRELATION
+from skyherd.vision.photometric.candidates import (
+    CLEAR_CORRELATION,
+    find_candidates,
+    may_be_cut,
+    outside_markers,
+    within_better,
+)
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.measure import are_likely, measure_candidates
 from skyherd.vision.photometric.state import CameraState
-from skyherd.vision.search.decode import MIN_CORRELATION
 from skyherd.vision.search.quads import find_quads
 
 DICTIONARY, SIZE, SIDE_PX = "4X4_50", (400, 140), 30.0
@@ -48,8 +52,10 @@ def candidates(image, print_contrast, *, first_is_known=True) -> list[int]:
     state = CameraState(sigma_px=0.85, noise=2.0, print_contrast=print_contrast)
     similarities = np.array([SIDE_PX * 1j * np.exp(0.3j)])
     first = LocalHomographies(PLACES[:1], similarities, np.zeros(1, complex), np.zeros(1, complex))
-    there = first.take(np.arange(int(first_is_known)))
-    found = find_candidates(image, DICTIONARY, state, find_quads(image), there, MIN_CORRELATION)
+    quads_px = find_quads(image)
+    if first_is_known:
+        quads_px = quads_px[outside_markers(quads_px, first)]
+    found = find_candidates(image, DICTIONARY, state, quads_px, beside_markers=first_is_known)
     return sorted(found.ids.tolist())
 
 
@@ -71,10 +77,9 @@ def test_quadrilaterals_that_are_off_are_compared_at_their_edges(place_markers, 
     image = draw_markers(place_markers(places, headings, 14.0), list(range(27)), (390, 140), rng, noise=1.0)
     quads_px = corners_of_pose(to_points(places), headings, np.full(27, 14.0))
     quads_px += rng.uniform(-2, 2, quads_px.shape)
-    none = LocalHomographies.of_corners(quads_px[:0])
     clear, plain = (
-        find_candidates(image, DICTIONARY, CameraState(), quads_px, none, least)
-        for least in (CLEAR_CORRELATION, MIN_CORRELATION)
+        find_candidates(image, DICTIONARY, CameraState(), quads_px, beside_markers=False, clear=clear)
+        for clear in (True, False)
     )
     assert np.count_nonzero(plain.correlations >= CLEAR_CORRELATION) < 14
     assert clear.ids.size >= 25 and clear.correlations.min() >= CLEAR_CORRELATION
@@ -148,9 +153,8 @@ def test_few_markers_get_no_plane_if_known_ones_have_none(place_markers, draw_ma
     image = draw_markers(slanted(place_markers, 68), [3, 7], SIZE, rng, noise=1.0)
 
     def errors_px(state: CameraState) -> np.ndarray:
-        nothing = LocalHomographies.of_corners(np.zeros((0, 4, 2)))
         quads = find_quads(image)
-        candidates = find_candidates(image, DICTIONARY, state, quads, nothing, MIN_CORRELATION)
+        candidates = find_candidates(image, DICTIONARY, state, quads, beside_markers=False)
         found = measure_candidates(image, DICTIONARY, state, quads, candidates).found
         assert sorted(found.ids.tolist()) == [3, 7]
         return np.abs(found.homographies.centers[np.argsort(found.ids)] - SLANTED)

@@ -81,6 +81,36 @@ def test_each_search_runs_once_in_ten_images_and_never_two(draw, monkeypatch) ->
     assert done == [(tens + 9 + part, part) for tens in (0, 10, 20) for part in range(2)]
 
 
+def test_look_around_that_is_called_rarely_searches_each_part(draw, monkeypatch) -> None:
+    """One call in 15 images: the parts take turns, and none is left out."""
+    detector, done = DeferringDetector(DICTIONARY), []
+    quads = detector._quads
+    monkeypatch.setattr(detector, "_quads", lambda part, *given: done.append(part) or quads(part, *given))
+    for number in range(61):
+        image = draw(number % 10, IDS, HOMES)
+        detector.detect(image, time_s=0.1 * number)
+        if number and number % 15 == 0:
+            detector.look_around(image)
+    assert done == [0, 1, 0, 1]
+
+
+@pytest.mark.parametrize("kind", [PhotometricDetector, DeferringDetector])
+def test_marker_that_comes_leaves_the_plane_of_the_others(place_markers, draw_markers, kind) -> None:
+    """Pixels half as high as wide: five markers show it, and one alone does not."""
+    detector, squashed, planes = kind(DICTIONARY), np.diag([1.0, 0.8]), []
+    for number in range(LATEST + 3):
+        here = slice(None) if number >= COMES else slice(0, 5)
+        places = place_markers(HOMES[here], 0.3 * np.arange(IDS[here].size), np.full(IDS[here].size, 44.0))
+        places[:, :2, :2] = squashed @ places[:, :2, :2]
+        rng = np.random.default_rng([6, number])
+        seen = look(detector, draw_markers(places, IDS[here], SIZE, rng), number)
+        planes.append(detector.states[0].plane)
+    assert seen.ids.tolist() == IDS.tolist()
+    assert all(plane.shared for plane in planes)
+    # Of the map diag(1, 0.8): its anisotropic part over its similar part.
+    np.testing.assert_allclose([plane.anisotropy for plane in planes], 0.2 / 1.8, atol=0.01)
+
+
 @pytest.mark.parametrize("part", range(deferring.PARTS))
 def test_each_part_of_the_search_finds_a_marker_by_itself(draw, monkeypatch, part) -> None:
     """A marker that is easily seen, with the quadrilaterals of the other parts taken away."""

@@ -132,6 +132,15 @@ def test_velocity_after_a_gap_is_that_since_the_marker_was_seen(times_s):
     assert tracks.velocities[0] * step_s == pytest.approx(3.0) and tracks.missed.tolist() == [0]
 
 
+def test_camera_resumed_after_months_finds_all_markers(place_markers, draw_markers):
+    """Markers that grow by 2 % an image, of which the sizes after a pause would overflow; no warning."""
+    detector = PhotometricDetector(DICTIONARY)
+    for number, time_s in enumerate([0.0, 0.1, 0.2, 1e7, 1e7 + 0.1]):
+        places = place_markers(HOMES, 0.3 * np.arange(6), np.full(6, 36.0 * 1.02**number))
+        image = draw_markers(places, list(range(6)), SIZE, np.random.default_rng([8, number]))
+        assert len(detector.detect(image, time_s=time_s)) == 6, number
+
+
 def test_missed_marker_is_forgotten_after_ten_images():
     tracks = no_tracks().updated(0.0, np.array([5]), one_marker(100 + 0j), SIGMAS[:1])
     nothing = one_marker(0j).take(np.zeros(0, dtype=np.int64))

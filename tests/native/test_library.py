@@ -89,8 +89,35 @@ def fuzz_vision(path, seed=0, images=150):
         assert library.functions.search_workspace_bytes(*size) == 0
         assert library.functions.search_quads(None, None, *size, None, None, 0, None, None, 0) < 0
         assert library.functions.search_boundaries(None, *size, 8, 1, None, 0, None, 0, None, 0) < 0
+    fuzz_codes(library, rng)
     fuzz_patterns(library, rng)
     return found + fuzz_fit(library, rng)
+
+
+def fuzz_codes(library, rng, requests=100):
+    """Compare random samples, a tenth of them absurd, with random codes; the padding is never the result."""
+    from skyherd.vision.native.search_library import CodeColumns
+
+    for _ in range(requests):
+        rows, cells, count = int(rng.integers(0, 10)), int(rng.integers(1, 70)), int(rng.integers(1, 100))
+        samples = rng.normal(0, 1, (rows, cells)).astype(np.float32)
+        samples[rng.random(samples.shape) < 0.1] = rng.choice([0.0, 1e38, np.inf, np.nan])
+        codes = CodeColumns.of(-np.abs(rng.normal(0, 1, (count, cells)).astype(np.float32)))
+        best, _ = library.best_codes(np.abs(samples), codes)
+        assert ((best >= 0) & (best < count)).all()
+        assert library.code_products(samples, codes).shape == (rows, count)
+    codes = CodeColumns.of(np.zeros((40, 4), np.float32)).columns.ctypes.data
+    for size in [
+        (-1, 4, 40, 64),
+        (1, 0, 40, 64),
+        (1, 4, 0, 64),
+        (1, 4, 65, 64),
+        (1, 4, 40, 40),
+        (1, 2000, 40, 64),
+    ]:
+        rows, cells, count, stride = size
+        assert library.functions.best_codes(None, rows, cells, codes, count, stride, None, None) < 0
+        assert library.functions.code_products(None, rows, cells, codes, count, stride, None) < 0
 
 
 def fuzz_patterns(library, rng, requests=60):
@@ -110,6 +137,10 @@ def fuzz_patterns(library, rng, requests=60):
         ground = [None, grounds, grounds[:1]][rng.integers(0, 3)]
         about = ground, pattern_constants(), n, bool(rng.integers(0, 2))
         library.fit_patterns(PatternRequest(levels, seen, scales, weights, ranges, patterns, *about))
+        edges = int(rng.integers(3, 20))
+        unexplained = rng.uniform(-1, 1, ((edges - 1) * (edges - 2) // 2,) * 2)
+        sums = rng.choice([0.0, 1.0, np.nan, np.inf, -1e300], (count, edges, edges))
+        library.best_rectangles(sums, unexplained, int(rng.integers(1, unexplained.size + 1)))
 
 
 def fuzz_fit(library, rng, images=150):

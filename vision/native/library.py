@@ -298,6 +298,32 @@ class Library(SearchFunctions):
         check(self.functions.fit_patterns(ctypes.byref(given), fits.ctypes.data), ERRORS)
         return fits
 
+    def best_rectangles(self, sums: Array, unexplained: Array, each: int) -> IntArray:
+        """Return the rectangles (N, each) that explain most of N squares, in no order.
+
+        A rectangle's number is that of its stretch down times S plus that of its stretch along.
+
+        Args:
+            sums: (N, E, E) over what lies beyond pairs of E edges, down and along.
+            unexplained: (S, S) squares of the rectangles, whose S stretches have two steps or more.
+            each: rectangles that are kept.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is out of range.
+        """
+        count, edges = sums.shape[:2]
+        stretches = (edges - 1) * (edges - 2) // 2
+        given = (
+            address("sums", sums, np.float64, (count, edges, edges)),
+            count,
+            edges,
+            address("unexplained", unexplained, np.float64, (stretches, stretches)),
+            each,
+        )
+        found, gains = np.empty((count, each), dtype=np.int32), np.empty((count, each))
+        check(self.functions.best_rectangles(*given, found.ctypes.data, gains.ctypes.data), ERRORS)
+        return found.astype(np.int64)
+
     def follow_markers(self, request: FollowRequest) -> tuple[int, FollowResults]:
         """Follow markers into an image; return how far it went, as `follow.h` says, and the results.
 
@@ -384,6 +410,7 @@ def declared(functions: ctypes.CDLL) -> Library:
         "fit_visible": (integer, pointer, pointer, pointer, pointer),
         "streak_evidence": (integer, pointer, pointer, pointer),
         "fit_patterns": (integer, pointer, pointer),
+        "best_rectangles": (integer, pointer, long, integer, pointer, integer, pointer, pointer),
         "follow_markers": (integer, pointer, pointer),
         "fit_plane": (integer, *(pointer,) * 4, long, integer, pointer),
     }

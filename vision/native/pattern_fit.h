@@ -34,6 +34,8 @@ typedef struct {
     double outlier_share;           /* of the parts on the marker */
 } PatternFit;
 
+int32_t best_rectangles(const double *sums, int64_t count, int32_t edges, const double *unexplained, int32_t each,
+                        int32_t *rectangles, double *gains);
 int32_t fit_patterns(const PatternRequest *given, PatternFit *fits);
 
 #endif

@@ -5,7 +5,8 @@
  *   2. regions.c  horizontal runs of dark pixels, joined to regions; the outer boundary of a region
  *   3. quads.c    four corner points on a boundary, a line through each side, their intersections
  * search_boundaries() uses steps 1 and 2 alone. stretch() in stretch.c prepares an image for the search of faint markers,
- * sample_squares() in sampling.c reads what is within quadrilaterals, and fit_edges() in edges.c refines their corners.
+ * sample_squares() in sampling.c reads what is within quadrilaterals, best_codes() in decode.c finds the markers that they
+ * resemble, and fit_edges() in edges.c refines their corners.
  *
  * Coordinates: x is the column, y the row (downwards). Planes are row-major. No function allocates memory: the caller
  * passes one workspace, whose size search_workspace_bytes() returns. The time is proportional to the number of pixels.
@@ -114,6 +115,10 @@ int32_t search_boundaries(const uint8_t *image, int32_t width, int32_t height, i
                           int32_t *counts, int32_t max_regions);
 int32_t sample_squares(const uint8_t *image, int32_t width, int32_t height, const double *corners, int64_t count,
                        const double *at, int32_t side, int32_t fine, float *levels);
+int32_t best_codes(const float *samples, int64_t rows, int32_t cells, const float *columns, int64_t count, int64_t stride,
+                   int32_t *codes, float *products);
+int32_t code_products(const float *samples, int64_t rows, int32_t cells, const float *columns, int64_t count, int64_t stride,
+                      float *products);
 int32_t fit_edges(const uint8_t *image, int32_t width, int32_t height, int64_t count, int32_t cells,
                   const EdgeParameters *given, double *corners, double *spreads, double *supports, double *rises);
 int32_t stretch(const uint8_t *image, int32_t width, int32_t height, const float *gains, const float *shifts,

@@ -17,6 +17,37 @@ PIXELS_PER_QUAD = 8
 that counts has 20 points, and visits a pixel at most twice along a line of one pixel."""
 
 
+CODE_STEP = 32
+"""Columns of codes are a multiple of this. Derived: two vectors of the widest build, as in `decode.c`."""
+
+
+@dataclass(frozen=True)
+class CodeColumns:
+    """Codes stored column by column, so that vectors hold the same cell of many of them.
+
+    Attributes:
+        columns: (K, S) cells of the codes; S is a multiple of `CODE_STEP`.
+        count: number of codes, in the first columns.
+    """
+
+    columns: Floats
+    count: int
+
+    @classmethod
+    def of(cls, codes: Floats) -> "CodeColumns":
+        """Return codes (M, K)."""
+        columns = np.zeros((codes.shape[1], -(-len(codes) // CODE_STEP) * CODE_STEP), dtype=np.float32)
+        columns[:, : len(codes)] = codes.T
+        return cls(columns, len(codes))
+
+    def arguments(self, samples: Floats) -> tuple[int, ...]:
+        """Return samples (N, K) and these codes as the library takes them."""
+        cells, stride = self.columns.shape
+        rows = address("samples", samples, np.float32, (len(samples), cells))
+        columns = address("columns", self.columns, np.float32, (cells, stride))
+        return rows, len(samples), cells, columns, self.count, stride
+
+
 class _Workspaces(threading.local):
     """Memory for the library, one array for each thread, kept between calls."""
 
@@ -147,6 +178,30 @@ class SearchFunctions:
         check(self.functions.sample_squares(*given, levels.ctypes.data), ERRORS)
         return levels
 
+    def best_codes(self, samples: Floats, codes: "CodeColumns") -> tuple[IntArray, Floats]:
+        """Return the code (N,) with the greatest inner product with each row of samples, and products (N,).
+
+        Of equal products the first code counts.
+
+        Args:
+            samples: (N, K).
+            codes: of K cells each.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is empty.
+        """
+        rows = len(samples)
+        found, products = np.empty(rows, dtype=np.int32), np.empty(rows, dtype=np.float32)
+        given = codes.arguments(samples)
+        check(self.functions.best_codes(*given, found.ctypes.data, products.ctypes.data), ERRORS)
+        return found.astype(np.int64), products
+
+    def code_products(self, samples: Floats, codes: "CodeColumns") -> Floats:
+        """Return the inner products (N, M) of rows of samples with all codes; see `best_codes`."""
+        products = np.empty((len(samples), codes.columns.shape[1]), dtype=np.float32)
+        check(self.functions.code_products(*codes.arguments(samples), products.ctypes.data), ERRORS)
+        return products[:, : codes.count]
+
     def refined_corners(
         self, image: Image, corners_px: Array, n_cells: int, parameters: EdgeParameters
     ) -> tuple[Array, Array, Array, Array]:
@@ -194,6 +249,7 @@ def search_signatures() -> dict[str, Signature]:
     """Return the types of the functions of `search.h`, by their names."""
     pointer, size, integer, long = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int32, ctypes.c_int64
     search = (pointer, pointer, integer, integer, ctypes.POINTER(SearchParameters), pointer, size)
+    codes = (pointer, long, integer, pointer, long, long)
     boundaries = (pointer, *(integer,) * 4, pointer, size, pointer, long, pointer, integer)
     return {
         "search_workspace_bytes": (size, integer, integer),
@@ -210,6 +266,8 @@ def search_signatures() -> dict[str, Signature]:
             ctypes.POINTER(EdgeParameters),
             *(pointer,) * 4,
         ),
+        "best_codes": (integer, *codes, pointer, pointer),
+        "code_products": (integer, *codes, pointer),
         "sample_squares": (
             integer,
             pointer,

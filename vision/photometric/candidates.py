@@ -23,8 +23,8 @@ show 0.29 or less; they took a quarter of the detector's time in missions."""
 
 CLEAR_CORRELATION = 0.8
 """Smallest correlation of a clear candidate's cells with a marker's. Measured: markers that only a fallback
-search finds have 0.83 to 0.99; at 0.6 photographs of clutter take twice the time, for fits of squares of a few
-pixels."""
+search finds have 0.83 to 0.99; at 0.6 photographs of clutter take twice the time, for fits of squares of a
+few pixels."""
 
 DOUBTFUL_CORRELATION = 0.4
 """Where candidates must be clear, quadrilaterals whose cells have this correlation with a marker, but not

@@ -262,9 +262,7 @@ class DeferringDetector(PhotometricDetector):
         part = state.parts
         known = state.tracks.seen.homographies
         known_px = to_points(known.images(SQUARE_CORNERS))
-        searched = self._measured(
-            image, state, self._quads(part, image, known_px), known, clear=part > 0
-        )
+        searched = self._measured(image, state, self._quads(part, image, known_px), known, clear=part > 0)
         found, state = searched.found, replace(state, plane=searched.plane)
         if found.ids.size:
             last_s = state.tracks.times_s.max(initial=0.0)

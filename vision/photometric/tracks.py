@@ -43,8 +43,8 @@ MAX_MISSED = 10
 whole twice meanwhile, so that nothing waits longer for a search than it would without."""
 
 MAX_LOG_GROWTH = 7.0
-"""Largest natural logarithm of a marker's predicted growth or shrinking. Chosen: a factor of 1000, beyond which
-nothing can be followed. A camera that is resumed after hours predicts no infinite marker."""
+"""Largest natural logarithm of a marker's predicted growth or shrinking. Chosen: a factor of 1000, beyond
+which nothing can be followed. A camera that is resumed after hours predicts no infinite marker."""
 
 MIN_SHIFT_SIDES = 0.02
 """Markers are fitted again only if the motion moves them by more than this, in their sides. Chosen: fits find

@@ -15,7 +15,9 @@ from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.markers.dictionary import all_marker_cells, cells_per_side
 from skyherd.vision.blurred_cells import blurred_darkness, standardised
 from skyherd.vision.grey import Image, sample_squares
+from skyherd.vision.native.library import library
 from skyherd.vision.native.records import Floats
+from skyherd.vision.native.search_library import CodeColumns
 from skyherd.vision.row_record import RowRecord
 
 SAMPLES_PER_CELL = 2
@@ -148,9 +150,8 @@ def _most_alike(samples: _Samples, dictionary: str, blurs_cells: Array) -> _Like
     for bucket in np.unique(buckets):
         rows = np.flatnonzero(buckets == bucket)
         codes = _codes(dictionary, int(bucket))
-        scores = samples.standard[rows] @ codes.patterns.T
-        best[rows] = scores.argmax(axis=1)
-        likeness[rows] = scores[np.arange(rows.size), best[rows]] / n2
+        best[rows], products = library().best_codes(samples.standard[rows], codes.columns)
+        likeness[rows] = products / n2
         contrast[rows] = likeness[rows] * samples.deviations[rows] / codes.deviations[best[rows]]
         white[rows] = samples.means[rows] + contrast[rows] * codes.means[best[rows]]
     return _Likeness(best, likeness, contrast / np.maximum(white, MIN_WHITE))
@@ -161,12 +162,12 @@ class BlurredCodes:
     """Cells of all markers under a blur; row 4 i + k is marker i with corner k first.
 
     Attributes:
-        patterns: (4 x markers, cells) standardised brightness.
+        columns: standardised brightness of their cells.
         means: (4 x markers,) mean darkness, 0 to 1.
         deviations: (4 x markers,) standard deviation of the darkness.
     """
 
-    patterns: Floats
+    columns: CodeColumns
     means: Array
     deviations: Array
 
@@ -189,7 +190,7 @@ def _codes(dictionary: str, bucket: int) -> BlurredCodes:
     codes = np.stack([np.rot90(dark, -turn, axes=(1, 2)) for turn in range(4)], axis=1)
     darkness = codes.reshape(4 * len(cells), -1)
     patterns = np.asarray(standardised(-darkness.astype(np.float32)))
-    return BlurredCodes(patterns, darkness.mean(axis=1), darkness.std(axis=1))
+    return BlurredCodes(CodeColumns.of(patterns), darkness.mean(axis=1), darkness.std(axis=1))
 
 
 def read_cells(image: Image, quads_px: Array, n_cells: int) -> Floats:

@@ -372,7 +372,8 @@ def test_correlation_is_that_of_cells_with_the_nearest_code() -> None:
     cells = flipped(marker_cells("APRILTAG_36h11", 301), (1, 2))
     readings = Readings.read(noisy(card(cells), 1), corners(8), 8)
     codes, correlations = readings_module.nearest_codes(readings, "APRILTAG_36h11")
-    patterns = [blurred_codes("APRILTAG_36h11", blur).patterns[codes[0, 0]] for blur in (0.2, 0.5)]
+    columns = [blurred_codes("APRILTAG_36h11", blur).columns.columns for blur in (0.2, 0.5)]
+    patterns = [one[:, codes[0, 0]] for one in columns]
     seen = readings.cells[0, 1:-1, 1:-1].ravel()
     assert codes[0, 0] == 4 * 301
     assert correlations[0] == pytest.approx(max(np.corrcoef(seen, one)[0, 1] for one in patterns), abs=1e-4)

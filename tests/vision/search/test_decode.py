@@ -6,6 +6,8 @@ import pytest
 from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import cells_per_side, dictionary_size
 from skyherd.vision import PhotometricDetector
+from skyherd.vision.native.library import library
+from skyherd.vision.native.search_library import CodeColumns
 from skyherd.vision.search.decode import MIN_CORRELATION, decode_quads
 
 SIGMA_PX = 0.85
@@ -101,3 +103,26 @@ def test_mirrored_image_gives_no_wrong_id(place_markers, draw_markers, dictionar
     mirrored = PhotometricDetector(dictionary).detect(np.ascontiguousarray(image[:, ::-1]))
     allowed = OWN_MIRROR_IMAGES if dictionary == "4X4_50" else set()
     assert set(mirrored.ids.tolist()) == allowed
+
+
+@pytest.mark.parametrize("count", [1, 7, 32, 33, 2348])
+@pytest.mark.parametrize("rows", [0, 1, 4, 9])
+def test_best_code_is_that_of_the_products_in_double_precision(rows, count) -> None:
+    """Sums of 64 products of single precision are exact to 64 roundings of their size."""
+    rng = np.random.default_rng([6, rows, count])
+    samples, codes = (rng.normal(0, 1, (size, 64)).astype(np.float32) for size in (rows, count))
+    expected = samples.astype(float) @ codes.astype(float).T
+    bound = 64 * np.finfo(np.float32).eps * (np.abs(samples).astype(float) @ np.abs(codes).astype(float).T)
+    best, products = library().best_codes(samples, CodeColumns.of(codes))
+    every = library().code_products(samples, CodeColumns.of(codes))
+    assert (np.abs(every - expected) <= bound).all()
+    assert best.tolist() == every.argmax(axis=1).tolist()
+    np.testing.assert_array_equal(products, every[np.arange(rows), best])
+
+
+def test_first_of_equal_codes_is_the_best() -> None:
+    """Rows of one code among those of others: ids do not depend on how many numbers a vector holds."""
+    codes = np.full((90, 5), -1, dtype=np.float32)
+    codes[[19, 20, 51, 77]] = 1
+    best, _ = library().best_codes(np.ones((3, 5), dtype=np.float32), CodeColumns.of(codes))
+    assert best.tolist() == [19, 19, 19]

@@ -6,7 +6,7 @@ in the same parts under several blurs (`skyherd.markers.blur_model`).
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from math import isqrt
 from statistics import NormalDist
 
@@ -19,6 +19,7 @@ from skyherd.markers.blur_model import gather
 from skyherd.markers.dictionary import all_marker_cells
 from skyherd.vision.blurred_cells import standardised
 from skyherd.vision.grey import Image, block_means, sample_squares
+from skyherd.vision.native.library import library
 from skyherd.vision.native.pattern_records import PARTS
 from skyherd.vision.row_record import RowRecord
 from skyherd.vision.search.decode import blurred_codes
@@ -186,7 +187,8 @@ def nearest_codes(readings: Readings, dictionary: str) -> tuple[IntArray, Array]
     """
     cells = readings.cells[:, 1:-1, 1:-1].reshape(len(readings.levels), -1)
     seen = standardised(cells.astype(np.float32))
-    match = np.max([seen @ blurred_codes(dictionary, blur).patterns.T for blur in CELL_BLURS], axis=0)
+    products = (library().code_products(seen, blurred_codes(dictionary, blur).columns) for blur in CELL_BLURS)
+    match = reduce(np.maximum, products)
     few = np.argpartition(-match, MAX_CODES - 1, axis=1)[:, :MAX_CODES]
     order = np.argsort(-np.take_along_axis(match, few, axis=1), axis=1)
     return np.asarray(np.take_along_axis(few, order, axis=1)), match.max(axis=1) / seen.shape[1]

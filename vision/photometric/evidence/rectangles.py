@@ -5,12 +5,14 @@ squares, are fitted as the patterns of markers are, on wide and on narrow cards.
 """
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
 
-from skyherd.geometry import Array
+from skyherd.geometry import Array, IntArray
 from skyherd.markers.blur_model import normal_cdf
+from skyherd.vision.native.library import library
 from skyherd.vision.photometric.evidence.pattern_fit import NARROW_ODDS, fit_patterns, narrow_grounds
 from skyherd.vision.photometric.evidence.readings import (
     MIN_CONTRAST,
@@ -37,23 +39,67 @@ def log_rectangles(readings: Readings, blurs_cells: tuple[float, float], *, clip
         blurs_cells: blurs of the image along x and y.
         clips: whether the image clips.
     """
-    n = readings.n_cells
-    along, down = (_stretches(n, value) for value in blurs_cells)
-    square = [cell_shares(1, n, value, clips=clips)[:, 0] for value in blurs_cells]
-    ground = 1 - square[1][:, None] * square[0]
-    side, other = len(ground), ground - ground.mean()
-    images = readings.levels.reshape(-1, side, side)
-    basis = [np.full(ground.shape, 1 / side), other / np.linalg.norm(other)]
-    for part in basis:
+    drawn = _rectangles(readings.n_cells, blurs_cells, clips)
+    images = readings.levels.reshape(-1, *drawn.ground.shape)
+    for part in drawn.basis:
         images = images - (images * part).sum(axis=(1, 2), keepdims=True) * part
-    own = np.multiply.outer((down**2).sum(axis=1), (along**2).sum(axis=1))
-    left = own - sum((down @ part @ along.T) ** 2 for part in basis)
-    gain = np.maximum(down @ images @ along.T, 0) ** 2 / np.maximum(left, MIN_UNEXPLAINED)
-    best = np.argpartition(-gain.reshape(len(images), -1), MAX_RECTANGLES, axis=1)[:, :MAX_RECTANGLES]
-    rows, columns = np.divmod(best, len(along))
-    drawn = (down[rows][..., :, None] * along[columns][..., None, :]).reshape(*best.shape, -1)
-    logs = _log_fits(readings, drawn, ground.ravel(), clips=clips)
-    return np.asarray(np.logaddexp.reduce(logs, axis=1) - math.log(gain[0].size))
+    sums = np.ascontiguousarray(drawn.down @ images @ drawn.along.T)
+    best = library().best_rectangles(sums, drawn.unexplained, MAX_RECTANGLES)
+    rows, columns = np.divmod(best, len(drawn.unexplained))
+    low, high = _stretches(len(drawn.along))
+    along, down = drawn.along[low] - drawn.along[high], drawn.down[low] - drawn.down[high]
+    white = (down[rows][..., :, None] * along[columns][..., None, :]).reshape(*best.shape, -1)
+    logs = _log_fits(readings, white, drawn.ground.ravel(), clips=clips)
+    return np.asarray(np.logaddexp.reduce(logs, axis=1) - math.log(drawn.unexplained.size))
+
+
+@dataclass(frozen=True)
+class _Rectangles:
+    """All rectangles with edges on the grid, in a square on a ground, under a blur.
+
+    Attributes:
+        along, down: (E, side) steps at each edge along either axis. A rectangle is the product of a stretch
+            along each, which is the difference of two steps.
+        ground: (side, side) whiteness of the square's surroundings.
+        basis: orthonormal planes (side, side) of a constant level and of the ground.
+        unexplained: (S, S) squares of the rectangles that the basis does not explain.
+    """
+
+    along: Array
+    down: Array
+    ground: Array
+    basis: tuple[Array, ...]
+    unexplained: Array
+
+
+@lru_cache(maxsize=64)
+def _rectangles(n_cells: int, blurs_cells: tuple[float, float], clips: bool) -> _Rectangles:
+    """Return the rectangles in a square of n cells under blurs along x and y."""
+    edges = np.arange(0.5, n_cells - 0.49, RECTANGLE_STEP)
+    along, down = (normal_cdf((part_places(n_cells)[None] - edges[:, None]) / blur) for blur in blurs_cells)
+    columns, rows = (cell_shares(1, n_cells, blur, clips=clips)[:, 0] for blur in blurs_cells)
+    ground = 1 - rows[:, None] * columns
+    other = ground - ground.mean()
+    basis = np.full(ground.shape, 1 / len(ground)), other / np.linalg.norm(other)
+    low, high = _stretches(edges.size)
+    squares = [np.square(steps[low] - steps[high]).sum(axis=1) for steps in (down, along)]
+    explained = sum(_over_rectangles(down @ part @ along.T) ** 2 for part in basis)
+    unexplained = np.maximum(np.multiply.outer(*squares) - explained, MIN_UNEXPLAINED)
+    return _Rectangles(along, down, ground, basis, unexplained)
+
+
+@lru_cache(maxsize=16)
+def _stretches(edges: int) -> tuple[IntArray, IntArray]:
+    """Return the first and last edges (S,) of all stretches of two steps of the grid or more."""
+    low, high = np.triu_indices(edges, k=2)
+    return low, high
+
+
+def _over_rectangles(sums: Array) -> Array:
+    """Return sums (..., S, S) over rectangles, by those (..., E, E) beyond pairs of edges."""
+    low, high = _stretches(sums.shape[-1])
+    rows = sums[..., low, :] - sums[..., high, :]
+    return np.asarray(rows[..., low] - rows[..., high])
 
 
 def _log_fits(readings: Readings, drawn: Array, ground: Array, *, clips: bool) -> Array:
@@ -74,12 +120,3 @@ def _log_fits(readings: Readings, drawn: Array, ground: Array, *, clips: bool) -
         narrow.append(fit(exposed(on_card, clips), beyond[None]).logs)
     logs = np.logaddexp.reduce(narrow, axis=0) + math.log(NARROW_ODDS / len(narrow))
     return np.asarray(np.logaddexp(wide.logs + math.log(1 - NARROW_ODDS), logs))
-
-
-@lru_cache(maxsize=64)
-def _stretches(n_cells: int, blur_cells: float) -> Array:
-    """Return shares (S, side) of all stretches along an axis that a light rectangle may cover."""
-    edges = np.arange(0.5, n_cells - 0.49, RECTANGLE_STEP)
-    steps = normal_cdf((part_places(n_cells)[None] - edges[:, None]) / blur_cells)
-    low, high = np.triu_indices(edges.size, k=2)
-    return np.asarray(steps[low] - steps[high])

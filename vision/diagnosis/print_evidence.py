@@ -21,6 +21,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from itertools import chain
 from typing import NamedTuple
 
 import cv2
@@ -114,6 +115,14 @@ def rank_prints(image: Image, prints: Iterable[MarkerPrint]) -> list[PrintEviden
                     plain = max((one[2] for one in given if not one.kind.mirrored), default=-np.inf)
                     ranked += [one for one in given if not one.kind.mirrored or one.log_evidence > plain]
     return sorted(ranked, key=lambda evidence: -evidence.log_evidence)
+
+
+def larger_of_series(dictionary: str) -> tuple[str, ...]:
+    """Return the dictionaries that have all markers of a dictionary and more, in ascending size."""
+    for names in chain.from_iterable(_series_by_size().values()):
+        if dictionary in names:
+            return names[names.index(dictionary) + 1 :]
+    return ()
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,13 @@ from skyherd.vision.detectors.registry import (
     create_detector,
     describe_mirrored,
 )
-from skyherd.vision.diagnosis.print_evidence import ALL_PRINTS, MarkerPrint, PrintEvidence, rank_prints
+from skyherd.vision.diagnosis.print_evidence import (
+    ALL_PRINTS,
+    MarkerPrint,
+    PrintEvidence,
+    larger_of_series,
+    rank_prints,
+)
 from skyherd.vision.grey import Image, check_grey
 
 MIN_LOG_EVIDENCE = 0.0
@@ -110,7 +116,26 @@ def find_dictionary(image: Image, *, border_bits: int = 1, inverted: bool = Fals
     with_border(DEFAULT_DICTIONARY, border_bits)
     kind = MarkerPrint(border_bits, inverted)
     ranked = _likely(rank_prints(image, [kind]), kind)
-    return next((best.dictionary for best in ranked if _count(image, best).markers), None)
+    for best in ranked:
+        if markers := _count(image, best).markers:
+            return _with_all_ids(image, best, markers)
+    return None
+
+
+def _with_all_ids(image: Image, there: PrintEvidence, markers: int) -> str:
+    """Return the smallest dictionary of a series with which most markers are found.
+
+    `there` is a print of that series with which a number of markers is found. The evidence takes all ids for
+    equally probable. Real ids begin with 0, so that it prefers a dictionary which lacks the last few.
+    """
+    *between, largest = larger_of_series(there.dictionary) or (there.dictionary,)
+    if largest == there.dictionary:
+        return largest
+    most = _count(image, there._replace(dictionary=largest)).markers
+    if most <= markers:
+        return there.dictionary
+    counted = (name for name in between if _count(image, there._replace(dictionary=name)).markers >= most)
+    return next(counted, largest)
 
 
 def _likely(ranked: list[PrintEvidence], looked_for: MarkerPrint) -> list[PrintEvidence]:

@@ -188,6 +188,13 @@ def test_find_dictionary_reads_noisy_markers_of_every_border(border_bits, seed) 
     assert find_dictionary(noisy, border_bits=border_bits) == "4X4_50"
 
 
+def test_find_dictionary_counts_the_few_ids_of_a_larger_one() -> None:
+    """One id of 21 is beyond 4X4_50. The evidence prefers it for half as many codes."""
+    image = drawn([*range(20), 60], dictionary="4X4_100")
+    assert rank_prints(image, [MarkerPrint()])[0].dictionary == "4X4_50"
+    assert find_dictionary(image) == "4X4_100"
+
+
 def test_smaller_dictionary_of_the_same_markers_is_not_advised() -> None:
     """It has more evidence, and no more markers."""
     assert suggest(drawn(), "4X4_100") is None

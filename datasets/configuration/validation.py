@@ -5,7 +5,7 @@ of a key such as `kind` tells the model; Pydantic adds this tag to locations. A 
 `InputError`, located at a key relative to the model, or at an empty key for the value itself.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import Any, TypeVar
 
@@ -55,9 +55,16 @@ def check_tree(
         InputError: all problems of the tree, unknown keys first.
     """
     try:
-        return model.model_validate(tree)
+        valid = model.model_validate(tree)
     except ValidationError as error:
         raise input_error(error, model, where, see=see, origins=origins) from None
+    problems = [
+        InputError(locate(where, key, origins or {}), what, allowed)
+        for key, what, allowed in _no_numbers(tree, _schema(model))
+    ]
+    if problems:
+        raise join_errors(problems[:MAX_PROBLEMS], more=max(0, len(problems) - MAX_PROBLEMS))
+    return valid
 
 
 def input_error(
@@ -222,6 +229,33 @@ def _problems(detail: ErrorDetails, top: Schema) -> Iterator[tuple[str, str, str
             if isinstance(value, str) and names and (meant := did_you_mean(value, names)):
                 allowed = f"{meant} {allowed}"
             yield key, _what(value), allowed
+
+
+def _no_numbers(tree: Any, top: Schema) -> Iterator[tuple[str, str, str]]:
+    """Yield key, problem and allowed values of texts and of true or false where a number is expected.
+
+    Pydantic takes "1.5" and true for numbers.
+    """
+    for location, value in _leaves(tree, ()):
+        if isinstance(value, bool | str):
+            schema = _resolved(_node(location, top), top)
+            kinds = {_resolved(option, top).get("type") for option in _options(schema)}
+            if kinds <= {"number", "integer", "null"} and kinds != {"null"}:
+                yield _key(location, top), _what(value), expected(schema, top)
+
+
+def _leaves(tree: Any, location: Location) -> Iterator[tuple[Location, Any]]:
+    """Yield the location and value of each value in a tree that is no table and no list."""
+    items: Iterable[tuple[int | str, Any]] = ()
+    match tree:
+        case dict():
+            items = tree.items()
+        case list() | tuple():
+            items = enumerate(tree)
+        case _:
+            yield location, tree
+    for key, value in items:
+        yield from _leaves(value, (*location, key))
 
 
 def _own_problems(key: str, value: Any, error: Exception) -> Iterator[tuple[str, str, str]]:

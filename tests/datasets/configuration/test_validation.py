@@ -1,6 +1,7 @@
 """Errors of configuration files: every key, all at once, unknown ones first, in skyherd's own wording."""
 
 import pickle
+import re
 import tomllib
 from itertools import pairwise
 from typing import Annotated, Literal
@@ -287,6 +288,21 @@ def test_words_of_a_problem(tree, said):
     with pytest.raises(InputError) as caught:
         check_tree(_Small, tree, "a", see="")
     assert str(caught.value) == said
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("marker.side_m='0.5'", "'0.5'; a finite number from 0.001 to 1000"),
+        ("duration_s=true", "True; a finite number"),
+        ("seed='1'", "'1'; a whole number"),
+        ("robots.positions_m=[[0, '1'], [1, 1]]", "'1'; a finite number"),
+    ],
+)
+def test_text_and_true_are_no_numbers(setting, said) -> None:
+    """Pydantic takes both for numbers."""
+    with pytest.raises(InputError, match=re.escape(said)):
+        load_mission("triangle", [setting])
 
 
 def test_errors_survive_the_way_between_processes():

@@ -309,3 +309,20 @@ class TestTable:
         settings = ["--set", "duration_s=25", "--no-video", "--out", tmp_path / "run"]
         code, out, _ = call(capsys, "run", "table", *settings)
         assert code == 0 and "Shape reached" in out
+
+
+def test_digest_leaves_out_what_differs_between_machines(tmp_path) -> None:
+    """Addresses, radio and recording are a machine's own; limits, ids and gains are the team's."""
+    lab = load_lab("triangle")
+    own = [
+        "cameras.0.address=/dev/video3",
+        "robots.2.driver=dry-run",
+        "radio.listen=['tcp/127.0.0.1:7999']",
+        "recording.image_width_px=100",
+    ]
+    of_team = ["limits.max_speed_mps=0.11", "control.k=0.31", "markers.side_m=0.1234", "control.neighbors=4"]
+    assert len(lab.digest) == 16
+    assert all(load_lab("triangle", [one]).digest == lab.digest for one in own)
+    assert len({lab.digest, *(load_lab("triangle", [one]).digest for one in of_team)}) == 5
+    again = make_lab(lab.model.model_dump(mode="json"), where="recording")
+    assert again.digest == lab.digest

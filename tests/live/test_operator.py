@@ -1,12 +1,23 @@
 """Commands of an operator to a scripted team: confirmations, and reports about other robots."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
 from skyherd.live.lab import load_lab
 from skyherd.live.mailbox import Air, Mailbox
-from skyherd.live.operator import REPEAT_S, SETTLE_S, ArmCommand, Outcome, StopCommand, arm, stop, watch
+from skyherd.live.operator import (
+    ARM_DELAY_S,
+    REPEAT_S,
+    SETTLE_S,
+    ArmCommand,
+    Outcome,
+    StopCommand,
+    arm,
+    stop,
+    watch,
+)
 from skyherd.live.session import Session, outcome_lines
 from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch, stop_number
 from skyherd.live.wire import Arm, Heartbeat, Stop
@@ -64,6 +75,16 @@ class ScriptedTeam:
 
 
 class TestStop:
+    def test_robots_that_the_lab_lacks_have_to_confirm(self) -> None:
+        """An operator whose lab file has half the robots."""
+        team = ScriptedTeam()
+        half = replace(LAB, model=LAB.model.model_copy(update={"robots": LAB.model.robots[:3]}))
+        team.pass_time(0.0)
+        team.robots[5].frozen = True
+        outcome = stop(half, team.watched, "test", settle_s=1.5)
+        assert outcome.done == [0, 1, 2, 3, 4]
+        assert list(outcome.missing) == [5] and outcome.missing[5].startswith("disarmed, here, heard 1.5 s")
+
     def test_confirmed_by_its_number(self) -> None:
         team = ScriptedTeam()
         outcome = stop(LAB, team.watched, "test")
@@ -178,6 +199,29 @@ class TestStop:
 
 
 class TestArm:
+    def test_command_that_was_suspended_arms_nothing(self) -> None:
+        """`live arm` asked a silent robot, was suspended, and went on after the time for an arm command."""
+        team = ScriptedTeam()
+        team.robots[5].frozen = True
+        team.pass_time(0.0)
+        command = ArmCommand(LAB, team.watched)
+        team.pass_time(0.0)
+        assert not command.advance() and not command.outcome().failure
+        team.pass_time(0.0)
+        team.now_s += ARM_DELAY_S
+        for robot in team.robots.values():
+            robot.armed, robot.commands = False, []
+        team.pass_time(0.0)
+        assert command.advance()
+        team.pass_time(0.0)
+        assert not any(robot.armed or robot.commands for robot in team.robots.values())
+        assert command.outcome().failure == "the command was given more than 20 s ago"
+
+    def test_command_that_starts_late_arms_nothing(self) -> None:
+        team = ScriptedTeam()
+        outcome = arm(LAB, team.watched, given_s=team.now_s - ARM_DELAY_S)
+        assert not outcome.is_complete and not any(robot.armed for robot in team.robots.values())
+
     def test_learns_the_stop_before_clearing_it(self) -> None:
         team = ScriptedTeam()
         for robot in team.robots.values():

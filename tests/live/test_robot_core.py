@@ -12,9 +12,17 @@ from hypothesis import given, settings
 from skyherd.control import GoalInboxes, MarkerGains, Wheels
 from skyherd.live.drivers import SpeedLimits
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
-from skyherd.live.robot_core import DRIVING, MAX_GAP_S, UNSEEN, RobotCore, RobotLimits
+from skyherd.live.robot_core import (
+    DRIVING,
+    MAX_GAP_S,
+    NO_SESSION,
+    SESSION_SILENCE_S,
+    UNSEEN,
+    RobotCore,
+    RobotLimits,
+)
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
-from skyherd.live.wire import Arm, Envelope, Heartbeat, Sighting, Stop
+from skyherd.live.wire import SESSION, Arm, Envelope, Heartbeat, Sighting, Stop
 from skyherd.messages import MotionGoals, Proximity
 
 pytestmark = pytest.mark.smoke
@@ -27,10 +35,18 @@ LIMITS = RobotLimits(
 ROBOT, STEP_S = 3, 0.05
 
 
-def make_core(delay_s: float = 0.0) -> RobotCore:
+def make_core(delay_s: float = 0.0, **options) -> RobotCore:
     law, clocks = MarkerGains(k=2.0, k_omega=4.0, b_th=0.01, side_m=0.1), ClockLimits(1.0, 0.1)
     return RobotCore(
-        ROBOT, [0, 1], law, Wheels(0.6, 3.0), LIMITS, side_m=0.1, delay_s=delay_s, clock_limits=clocks
+        ROBOT,
+        [0, 1],
+        law,
+        Wheels(0.6, 3.0),
+        LIMITS,
+        side_m=0.1,
+        delay_s=delay_s,
+        clock_limits=clocks,
+        **options,
     )
 
 
@@ -85,6 +101,68 @@ class Scene:
             self.see()
             order = self.step()
         return order
+
+
+class TestSession:
+    """A robot that `live run` runs drives only while that is heard."""
+
+    @staticmethod
+    def scene(*, beats: bool) -> Scene:
+        scene = Scene()
+        scene.core = make_core(supervised=True)
+        scene.wake()
+        scene.see()
+        if beats:
+            scene.core.receive(Envelope(SESSION, scene.now_s, Heartbeat({})), scene.now_s)
+        return scene
+
+    def test_robot_without_a_session_yet_cannot_be_armed(self) -> None:
+        scene = self.scene(beats=False)
+        scene.arm()
+        assert not scene.core.armed and not scene.core.heartbeat(scene.now_s, "").ready
+        assert scene.step().reason == NO_SESSION
+
+    def test_silent_session_disarms_and_does_not_rearm(self) -> None:
+        """A suspended session hears no space bar. When it goes on, the robot stands until it is armed."""
+        scene = self.scene(beats=True)
+        heard_s = scene.now_s
+        scene.arm()
+        while scene.now_s + STEP_S <= heard_s + SESSION_SILENCE_S:
+            scene.see()
+            assert scene.step().reason == DRIVING
+        scene.see()
+        order = scene.step()
+        assert (order.reason, order.v_mps, order.omega_radps) == (NO_SESSION, 0.0, 0.0)
+        assert not scene.core.armed
+        scene.core.receive(Envelope(SESSION, scene.now_s, Heartbeat({})), scene.now_s)
+        scene.see()
+        assert scene.step().reason == "disarmed"
+        scene.arm()
+        scene.see()
+        assert scene.step().reason == DRIVING
+
+    def test_robot_on_its_own_needs_no_session(self) -> None:
+        scene = Scene()
+        assert scene.drive(steps=60).reason == DRIVING
+
+
+@pytest.mark.parametrize(("lab", "drives"), [("one", True), ("", True), ("two", False)])
+def test_goals_of_a_unit_with_another_lab_file_are_refused(lab, drives) -> None:
+    """An older process has the limits and ids of an older file; one without a digest says nothing of it."""
+    scene = Scene()
+    scene.core = make_core(lab="one")
+    scene.unit_says(Heartbeat({"robot/3": (scene.now_s, scene.now_s)}, lab=lab))
+    scene.core.decide(scene.now_s)
+    scene.now_s += STEP_S
+    scene.core.decide(scene.now_s)
+    scene.unit_says(Heartbeat({"robot/3": (scene.now_s, scene.now_s)}, lab=lab))
+    scene.see()
+    scene.arm()
+    order = scene.step()
+    assert scene.core.armed == drives
+    said = DRIVING if drives else "unit/0 has another lab file: end and start all processes"
+    assert order.reason == said
+    assert scene.core.heartbeat(scene.now_s, "").lab == "one"
 
 
 @pytest.mark.parametrize("start_s", [0.0, 100.0, 1e6])

@@ -9,11 +9,8 @@ import sys
 import termios
 import threading
 import time
-import tty
-from collections import deque
 from contextlib import closing, nullcontext, suppress
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from command_line import call
@@ -26,7 +23,7 @@ from skyherd.live.lab import load_lab
 from skyherd.live.line_writer import NAME
 from skyherd.live.mailbox import Air, Mailbox
 from skyherd.live.operator import Outcome, watch
-from skyherd.live.session import MAX_KEYS, _dashboard, _keys, _processes, _windows_key, run_session
+from skyherd.live.session import _dashboard, _processes, run_session
 from skyherd.live.supervisor import Child, Supervisor
 from skyherd.live.wire import Heartbeat
 from skyherd.report.access import bind
@@ -477,53 +474,6 @@ def test_dashboard_shows_state_of_each_process(tmp_path) -> None:
         ["a", "line"],
         ["another"],
     ]
-
-
-@pytest.mark.parametrize(
-    ("typed", "key"), [("", ""), ("q", "q"), ("abq", "q"), ("x a", " "), (" ", " "), ("qqa", "a")]
-)
-def test_windows_console_returns_last_key_or_space(monkeypatch, typed, key) -> None:
-    waiting = deque(typed)
-    console = SimpleNamespace(kbhit=lambda: bool(waiting), getwch=waiting.popleft)
-    monkeypatch.setitem(sys.modules, "msvcrt", console)
-    assert _windows_key() == key and not waiting
-
-
-def test_windows_console_limits_keys_read_at_once(monkeypatch) -> None:
-    waiting = deque("q" * (2 * MAX_KEYS))
-    console = SimpleNamespace(kbhit=lambda: bool(waiting), getwch=waiting.popleft)
-    monkeypatch.setitem(sys.modules, "msvcrt", console)
-    assert _windows_key() == "q" and len(waiting) == MAX_KEYS
-
-
-@pytest.fixture
-def keyboard(monkeypatch):
-    """Yield the typing end of a pseudo terminal that replaces the standard input."""
-    person, terminal = pty.openpty()
-    tty.setcbreak(terminal)
-    with os.fdopen(terminal) as stream:
-        monkeypatch.setattr(sys, "stdin", stream)
-        yield person
-    os.close(person)
-
-
-def test_space_bar_has_priority_among_keys(keyboard):
-    with _keys() as key:
-        assert key() == ""
-        for typed, meant in (
-            (b" ", " "),
-            (b"xx a", " "),
-            (b"qqqq ", " "),
-            (b" aa", " "),
-            (b"qa", "a"),
-            (b"aq", "q"),
-            (b"abq", "q"),
-        ):
-            os.write(keyboard, typed)
-            assert key() == meant, typed
-            began_s = time.monotonic()
-            assert key() == "", "all that was typed was read"
-            assert time.monotonic() - began_s < 0.9, "nothing waits for a key"
 
 
 class TestSupervisor:

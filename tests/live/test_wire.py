@@ -176,7 +176,7 @@ class TestDecode:
             (b"[1]", "not a message of skyherd"),
             (b"x" * (MAX_BYTES + 1), "larger"),
             (changed(team="red"), "another team, 'red'"),
-            (changed(version=2), "of format '2', not 3"),
+            (changed(version=2), "of format '2', not 4"),
             (changed(version=True), "of format"),
             (changed(sender=5), "without a valid sender"),
             (changed(sender=""), "without a valid sender"),

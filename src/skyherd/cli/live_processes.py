@@ -56,7 +56,7 @@ def _process(
         lab.check_process(name)
         if supervised:
             threading.Thread(target=_read_to_end, args=[request], daemon=True).start()
-        context = ProcessContext(lab, radio, clock, folder, _tell, request.is_asked)
+        context = ProcessContext(lab, radio, clock, folder, _tell, request.is_asked, supervised=supervised)
         with context.claimed(name):
             yield context, request
 

@@ -20,6 +20,11 @@ LEARN_S = 1.0
 SETTLE_S = 3.0
 """Longest wait of arm and stop for all robots, s. Chosen: a dozen heartbeats of each."""
 
+ARM_DELAY_S = 20.0
+"""Longest time from an arm command, such as the start of `live arm`, to its last message, s. Chosen: start,
+learning and waiting for all robots take 8 s on a slow machine. A command that was suspended meanwhile
+has expired."""
+
 CLOCK_ERROR_S = 1.0
 """Largest lead of another operator's clock, s, with which its stop is still dated by its number. Chosen:
 computers that set their clocks agree better; a number that is further ahead tells no time."""
@@ -93,6 +98,11 @@ class Watch:
         return {
             name: sign.heartbeat for name, sign in self.signs.items() if now_s - sign.received_s <= GONE_S
         }
+
+    def robots_alive(self) -> list[int]:
+        """Return the numbers of the robots that are alive, also of those that the operator's lab lacks."""
+        names = (name.partition("/") for name in self.alive())
+        return [int(number) for kind, _, number in names if kind == "robot" and number.isdecimal()]
 
     def is_ambiguous(self, name: str) -> bool:
         """Return whether two processes use a name now."""
@@ -179,8 +189,9 @@ class StopCommand:
         return not self.outcome().missing
 
     def outcome(self) -> Outcome:
-        """Return the robots that have confirmed the stop, and the others."""
-        confirmed = {robot: self._has_stopped(robot) for robot in self._lab.ids}
+        """Return the robots that confirmed the stop, and the others, also those that the lab lacks."""
+        robots = sorted({*self._lab.ids, *self._watched.robots_alive()})
+        confirmed = {robot: self._has_stopped(robot) for robot in robots}
         overridden = not self._watched.latch.stopped
         return _outcome(self._watched, confirmed, "a newer arm command overrides the stop" * overridden)
 
@@ -204,10 +215,15 @@ class ArmCommand:
         watched: the operator's view of the team.
         known: the commands that were known when this one was given; all that are known now if left out. It
             clears no other stop.
+        given_s: when it was given, on the operator's clock; now if left out. After `ARM_DELAY_S` it arms no
+            robot.
     """
 
-    def __init__(self, lab: Lab, watched: Watch, known: StopLatch | None = None) -> None:
+    def __init__(
+        self, lab: Lab, watched: Watch, known: StopLatch | None = None, given_s: float | None = None
+    ) -> None:
         self._lab, self._watched = lab, watched
+        self._given_s = watched.clock() if given_s is None else given_s
         self._sent_s = -float("inf")
         self._done: set[int] = set()
         self._cleared = (watched.latch if known is None else known).with_arm().cleared
@@ -220,9 +236,12 @@ class ArmCommand:
         return self._watched.latch.stop > self._cleared
 
     def advance(self) -> bool:
-        """Send the command if it is due. Return whether all robots are armed, or a newer stop cancels it."""
+        """Send the command if it is due.
+
+        Return whether all robots are armed, a newer stop cancels it, or it has expired.
+        """
         self._done |= {robot for robot in self._lab.ids if self._is_armed(robot)}
-        if self.is_void or len(self._done) == len(self._lab.ids):
+        if self.is_void or self._has_expired() or len(self._done) == len(self._lab.ids):
             return True
         if self._watched.clock() - self._sent_s >= REPEAT_S:
             alive = self._watched.alive()
@@ -236,10 +255,14 @@ class ArmCommand:
     def outcome(self) -> Outcome:
         """Return the robots armed by this command, and the others."""
         confirmed = {robot: robot in self._done and not self.is_void for robot in self._lab.ids}
-        failure = "a stop is newer than this command" * self.is_void
+        failure = f"the command was given more than {ARM_DELAY_S:g} s ago" * self._has_expired()
+        failure = "a stop is newer than this command" if self.is_void else failure
         if self._watched.latch.stop == MAX_STOP:
             failure = "the stop has the largest possible number, so it was forged: restart the whole team"
         return _outcome(self._watched, confirmed, failure)
+
+    def _has_expired(self) -> bool:
+        return not 0 <= self._watched.clock() - self._given_s <= ARM_DELAY_S
 
     def _is_armed(self, robot: int) -> bool:
         sign = self._watched.robot_sign(robot)
@@ -276,7 +299,7 @@ def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S, *, given_s: float 
     latest = stop_number(watched.clock() + CLOCK_ERROR_S)
     is_since = stop_number(given_s) <= watched.latch.stop <= latest
     known = NO_COMMAND if is_since or watched.stop_heard_s >= began_s else None
-    return _insist(ArmCommand(lab, watched, known), watched, settle_s)
+    return _insist(ArmCommand(lab, watched, known, given_s), watched, settle_s)
 
 
 def stop(lab: Lab, watched: Watch, why: str, settle_s: float = SETTLE_S) -> Outcome:

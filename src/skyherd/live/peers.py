@@ -71,15 +71,20 @@ class Instances:
 
 
 class PeerClocks:
-    """Estimated clock offsets of all processes that one process hears.
+    """Estimated clock offsets of all processes that one process hears, and whose messages it trusts.
 
     Attributes:
         name: of this process.
         limits: limits of trust in a clock.
+
+    Args:
+        name, limits: as the attributes.
+        lab: digest of the lab file of this process; processes with another one are not trusted.
     """
 
-    def __init__(self, name: str, limits: ClockLimits) -> None:
-        self.name, self.limits = name, limits
+    def __init__(self, name: str, limits: ClockLimits, lab: str = "") -> None:
+        self.name, self.limits, self._lab = name, limits, lab
+        self._labs: dict[str, str] = {}
         self._offsets: dict[str, ClockOffset] = {}
         self._last: dict[str, tuple[float, float]] = {}
         self._instances: dict[str, Instances] = {}
@@ -93,6 +98,8 @@ class PeerClocks:
         offset = self._offsets.setdefault(sender, ClockOffset())
         offset.hear(envelope.sent_s, now_s)
         self._last[sender] = envelope.sent_s, now_s
+        if isinstance(envelope.message, Heartbeat):
+            self._labs[sender] = envelope.message.lab
         if isinstance(envelope.message, Heartbeat) and self.name in envelope.message.heard:
             our_sent_s, their_received_s = envelope.message.heard[self.name]
             # A stamp in the future is from an earlier run of this process, with another clock.
@@ -103,6 +110,7 @@ class PeerClocks:
         """Return the time stamps of the last message of each process, and forget silent processes."""
         for name in [name for name, (_, at_s) in self._last.items() if at_s < now_s - FORGET_S]:
             del self._last[name], self._offsets[name], self._instances[name]
+            self._labs.pop(name, None)
         return dict(self._last)
 
     def estimate(self, name: str, now_s: float) -> OffsetEstimate:
@@ -115,9 +123,11 @@ class PeerClocks:
         return sum(offset.resets for offset in self._offsets.values())
 
     def distrust(self, name: str, now_s: float) -> str | None:
-        """Return the reason why the times of a process are not used now, or None."""
+        """Return the reason why the messages of a process are not used now, or None."""
         if name in self._instances and self._instances[name].conflict(now_s):
             return f"two processes are named {name}"
+        if self._labs.get(name, "") not in ("", self._lab):
+            return f"{name} has another lab file: end and start all processes"
         known = self.estimate(name, now_s)
         if not known.is_known:
             return f"clock of {name} is not compared yet"

@@ -36,6 +36,7 @@ class ProcessContext:
         folder: folder of its recordings.
         tell: called with each status line.
         ended: called before each cycle; True ends the process.
+        supervised: whether a session runs the process.
     """
 
     lab: Lab
@@ -44,6 +45,7 @@ class ProcessContext:
     folder: Path
     tell: Callable[[str], None]
     ended: Callable[[], bool] = lambda: False
+    supervised: bool = False
 
     def mailbox(self, name: str, kinds: tuple[str, ...], latch: Callable[[], StopLatch]) -> Mailbox:
         """Return the mailbox of a process of this name. Its messages carry the latch from `latch()`."""
@@ -81,7 +83,7 @@ class ProcessContext:
             for number in range(10_000)
             if not (path := self.folder / f"{stem}{f'.{number}' if number else ''}.mcap").exists()
         )
-        return ProcessLog(path, name, self.lab, self.clock())
+        return ProcessLog(path, name, self.lab, self.clock(), supervised=self.supervised)
 
 
 class StatusLine:

@@ -5,6 +5,8 @@ turn only while all of these conditions hold. The robot reports the first condit
 
 - no stop is in force, and an arm command armed the robot for its current session (`skyherd.live.stop_latch`);
 - no other process uses the robot's name;
+- if a session (`skyherd live run`) runs the robot, a heartbeat of it was heard within `SESSION_SILENCE_S`.
+  Otherwise the robot is disarmed, and stays so when the session goes on;
 - the robot's clock is monotonic, without a gap between two decisions;
 - a goal is fresh: its image is at most `goal_timeout_s` old, by compared clocks. This is the watchdog against
   stale goals;
@@ -34,7 +36,7 @@ from skyherd.live.drivers.limits import Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Motion
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
 from skyherd.live.stop_latch import ArmState, StopLatch
-from skyherd.live.wire import Arm, Envelope, Heartbeat, Sighting, Stop
+from skyherd.live.wire import SESSION, Arm, Envelope, Heartbeat, Sighting, Stop
 from skyherd.messages import MotionGoals, Proximity, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
@@ -48,6 +50,13 @@ above the scheduling delays of a busy machine."""
 
 DRIVING = "driving"
 """Reason reported while nothing stops the robot."""
+
+SESSION_SILENCE_S = 2.0
+"""Silence of the session, s, after which its robots are disarmed. Chosen: eight heartbeats. An operator whose
+`live run` is suspended or hangs has no stop button."""
+
+NO_SESSION = "`live run` is silent: suspended or hanging?"
+"""Reason reported while the session that runs the robot is silent."""
 
 UNSEEN = "no unit sees its marker"
 """Reason reported while the robot is outside all images."""
@@ -110,6 +119,8 @@ class RobotCore:
         clock_limits: limits of trust in another clock.
         other_ids: robots and obstacles to avoid; empty without avoidance.
         avoidance: rule of collision avoidance; None without avoidance.
+        lab: digest of the lab file.
+        supervised: whether a session runs the robot, which must not drive while that is silent.
     """
 
     def __init__(
@@ -125,9 +136,12 @@ class RobotCore:
         clock_limits: ClockLimits,
         other_ids: list[int] | None = None,
         avoidance: AvoidanceRule | None = None,
+        lab: str = "",
+        supervised: bool = False,
     ) -> None:
         self.robot_id, self.name, self.limits = robot_id, f"robot/{robot_id}", limits
-        self.clocks = PeerClocks(self.name, clock_limits)
+        self.clocks, self._lab = PeerClocks(self.name, clock_limits, lab), lab
+        self._session_s = -math.inf if supervised else math.inf
         self._units = sorted(unit_ids)
         self._law, self._wheels, self._side_m, self._delay_s = law, wheels, side_m, delay_s
         self._avoidance, self._other_ids = avoidance, sorted(other_ids or [])
@@ -173,6 +187,8 @@ class RobotCore:
             self._arm_state = self._arm_state.disarm()
             return
         self.clocks.hear(envelope, now_s)
+        if envelope.sender == SESSION:
+            self._session_s = max(self._session_s, now_s)
         if isinstance(message, Arm):
             if self.session and message.sessions.get(self.name) == self.session and self.is_ready(now_s):
                 self._arm_state = self._arm_state.arm(envelope.latch.cleared)
@@ -183,12 +199,12 @@ class RobotCore:
 
     def is_ready(self, now_s: float) -> bool:
         """Return whether the robot accepts an arm command now."""
-        return self._conflict(now_s) is None and self._is_seen(now_s)
+        return self._conflict(now_s) is None and self._has_session(now_s) and self._is_seen(now_s)
 
     def heartbeat(self, now_s: float, state: str) -> Heartbeat:
         """Return the next heartbeat of this robot."""
         heard, ready = self.clocks.heard(now_s), self.is_ready(now_s)
-        return Heartbeat(heard, state, self.session, self.armed, ready)
+        return Heartbeat(heard, state, self.session, self.armed, ready, self._lab)
 
     def image_age_s(self, now_s: float) -> float | None:
         """Return the age of the newest image with a goal, s, or None without a goal."""
@@ -201,6 +217,8 @@ class RobotCore:
             return self._stopped("its own clock has no finite time")
         if self._started_s is None:
             self._started_s = self._woke_s = self._decided_s = now_s
+        if not self._has_session(now_s):
+            self._arm_state = self._arm_state.disarm()
         before_s, self._decided_s = self._decided_s, now_s
         if not 0 <= now_s - before_s <= MAX_GAP_S:
             was_doubled = before_s - self._doubled_s <= self.limits.unseen_s
@@ -228,6 +246,8 @@ class RobotCore:
             return "stopped"
         if conflict := self._conflict(now_s):
             return conflict
+        if not self._has_session(now_s):
+            return NO_SESSION
         if not self._team.inboxes.fresh(now_s).any():
             return self._refused or ("no fresh goal" if self._is_seen(now_s) else UNSEEN)
         if not self._is_seen(now_s):
@@ -243,6 +263,10 @@ class RobotCore:
         if now_s - self._doubled_s <= self.limits.unseen_s:
             return "its marker is seen at two places"
         return None
+
+    def _has_session(self, now_s: float) -> bool:
+        """Return whether the session that runs the robot is alive; True without one."""
+        return now_s - self._session_s <= SESSION_SILENCE_S
 
     def _is_seen(self, now_s: float) -> bool:
         """Return whether a unit saw the robot's marker recently."""

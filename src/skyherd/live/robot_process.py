@@ -9,10 +9,18 @@ from skyherd.live.drivers import WORLD, Motion, RobotDriver, open_driver
 from skyherd.live.mailbox import Arrival, Mailbox
 from skyherd.live.process_context import HeartbeatTimer, ProcessContext, StatusLine
 from skyherd.live.robot_core import Order
-from skyherd.live.wire import Wheels
+from skyherd.live.wire import SESSION, Wheels
 from skyherd.messages import MotionGoals, VelocityCommand
 
-HEARS = ("goals/**", "proximity/**", "sighting/**", "heartbeat/unit/*", "arm/**", "stop/**")
+HEARS = (
+    "goals/**",
+    "proximity/**",
+    "sighting/**",
+    "heartbeat/unit/*",
+    f"heartbeat/{SESSION}",
+    "arm/**",
+    "stop/**",
+)
 """Topics that a robot listens to, after the team's name, besides heartbeats under its own name."""
 
 MIN_SHARE = 0.2
@@ -75,7 +83,7 @@ def run_robot(context: ProcessContext, robot_id: int, *, dry_run: bool = False) 
         dry_run: print commands instead of sending them.
     """
     lab, clock = context.lab, context.clock
-    core = lab.make_robot(robot_id)
+    core = lab.make_robot(robot_id, supervised=context.supervised)
     mailbox = context.mailbox(core.name, (*HEARS, f"heartbeat/{core.name}"), lambda: core.latch)
     with ExitStack() as stack:
         process_log = stack.enter_context(context.process_log(core.name))

@@ -1,14 +1,9 @@
 """`skyherd live run`: all processes of a lab on this machine, with one log and a dashboard."""
 
-import importlib
 import math
-import os
-import select
-import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console, Group
@@ -26,18 +21,13 @@ from skyherd.live.operator import ArmCommand, Command, StopCommand, Watch
 from skyherd.live.process_context import HEARTBEAT_S
 from skyherd.live.screen import Screen
 from skyherd.live.supervisor import WRONG, Supervisor
-from skyherd.live.wire import Heartbeat
+from skyherd.live.terminal_keys import SUSPEND, terminal_keys
+from skyherd.live.wire import SESSION, Heartbeat
 from skyherd.live.zenoh_radio import ZenohRadio
 from skyherd.text import printable
 
 REFRESH_S = 0.25
 """Longest wait for messages before keys are read again, s. Chosen: the refresh period of the dashboard."""
-
-MAX_KEYS = 1024
-"""Largest number of keys read at once. Chosen: more than a person presses within a refresh period."""
-
-SESSION = "session"
-"""Process name of the session that runs a lab."""
 
 LINES = 12
 """Number of log lines on the dashboard."""
@@ -85,7 +75,7 @@ def run_session(
     """
     _check_options(lab, cameras, duration_s)
     _check_addresses(lab, lab_file, cameras, dry_run=dry_run)
-    with hold_name(lab, "live run"):
+    with hold_name(lab, "live run"), terminal_keys() as key:
         radio = ZenohRadio(lab.model.radio, lab.folder, insecure=insecure)
         try:
             folder = _make_folder(folder, lab)
@@ -110,13 +100,12 @@ def run_session(
         end_s = float("inf") if duration_s is None else time.monotonic() + duration_s
         try:
             _start_all(supervisor, lab, lab_file, cameras, options, previews=page is not None)
-            with _keys() as key:
-                while not ended() and time.monotonic() < end_s and not _end_reason(supervisor):
-                    supervisor.tend()
-                    session.step(key(), REFRESH_S, page_stops=cockpit.stop_asked())
-                    processes = _processes(watched, supervisor)
-                    screen.draw(_dashboard(lab, watched, processes, lines, cockpit.url))
-                    cockpit.show(processes, watched, lines)
+            while not ended() and time.monotonic() < end_s and not _end_reason(supervisor):
+                supervisor.tend()
+                session.step(key(), REFRESH_S, page_stops=cockpit.stop_asked())
+                processes = _processes(watched, supervisor)
+                screen.draw(_dashboard(lab, watched, processes, lines, cockpit.url))
+                cockpit.show(processes, watched, lines)
             if ended():
                 supervisor.say("live", "interrupted; ending all processes")
         finally:
@@ -167,8 +156,10 @@ class Session:
             page_stops: True if the page asks to stop; it has priority over any key.
         """
         watched = self._watched
-        if page_stops or pressed == " ":
-            why = "page" if page_stops else "space bar"
+        if page_stops or pressed in (" ", SUSPEND):
+            why = "page" if page_stops else "space bar" if pressed == " " else "Ctrl-Z"
+            if why == "Ctrl-Z":
+                self._tell("live", "Ctrl-Z stops the team; a run that moves robots is not suspended")
             self._begin("stopped", StopCommand(self._lab, watched, why), operator.SETTLE_S)
         known = watched.latch
         watched.listen(timeout_s)
@@ -181,7 +172,7 @@ class Session:
             self._begin("armed", ArmCommand(self._lab, watched, known), operator.SETTLE_S)
         elif self.arms and self._all_ready():
             self.arms = False
-            self._begin("armed", ArmCommand(self._lab, watched), math.inf)
+            self._begin("armed", ArmCommand(self._lab, watched), operator.SETTLE_S)
         self._advance()
         if SESSION in watched.signs and not self._met_other:
             self._met_other = True
@@ -189,7 +180,7 @@ class Session:
         if watched.clock() - self._beaten_s >= HEARTBEAT_S:
             # The heartbeat carries the stop number to restarted processes.
             self._beaten_s = watched.clock()
-            watched.mailbox.send(Heartbeat({}, "runs the lab"))
+            watched.mailbox.send(Heartbeat({}, "runs the lab", lab=self._lab.digest))
 
     def _begin(self, word: str, command: Command, settle_s: float) -> None:
         """Begin a command, which replaces the current one."""
@@ -339,48 +330,3 @@ def _dashboard(
     )
     below = [f"page: {url}"] if url else []
     return Group(Text(head, style="bold"), table, Text("\n".join([*below, *lines])))
-
-
-@contextmanager
-def _keys() -> Iterator[Callable[[], str]]:
-    """Yield a function that returns the key pressed since the last call, or an empty string.
-
-    Of several keys the last one counts, but the space bar has priority: no stop is lost. Without a terminal
-    no key is returned. A held terminal delays nothing here.
-    """
-    if not sys.stdin.isatty():
-        yield lambda: ""
-        return
-    if sys.platform == "win32":
-        yield _windows_key
-        return
-    import termios
-    import tty
-
-    before = termios.tcgetattr(sys.stdin)
-    tty.setcbreak(sys.stdin, termios.TCSANOW)
-
-    def pressed() -> str:
-        ready, _, _ = select.select([sys.stdin], [], [], 0)
-        # os.read bypasses Python's buffer: select would not see keys that the buffer holds.
-        keys = os.read(sys.stdin.fileno(), MAX_KEYS).decode(errors="replace") if ready else ""
-        return _chosen_key(keys)
-
-    try:
-        yield pressed
-    finally:
-        termios.tcsetattr(sys.stdin, termios.TCSANOW, before)
-
-
-def _windows_key() -> str:
-    """Return the key pressed at a Windows console since the last call, or an empty string."""
-    msvcrt = importlib.import_module("msvcrt")
-    keys = ""
-    while msvcrt.kbhit() and len(keys) < MAX_KEYS:
-        keys += msvcrt.getwch()
-    return _chosen_key(keys)
-
-
-def _chosen_key(keys: str) -> str:
-    """Return the space bar if it is among the keys, else the last key, or an empty string without keys."""
-    return " " if " " in keys else keys[-1:]

@@ -53,13 +53,20 @@ class UnitCore:
         controller: makes the decisions.
         oldest_s: age above which an image is stale.
         clock_limits: limits of trust in another clock.
+        lab: digest of the lab file.
     """
 
     def __init__(
-        self, unit_id: int, controller: AerialController, *, oldest_s: float, clock_limits: ClockLimits
+        self,
+        unit_id: int,
+        controller: AerialController,
+        *,
+        oldest_s: float,
+        clock_limits: ClockLimits,
+        lab: str = "",
     ) -> None:
         self.unit_id, self.name, self.trouble = unit_id, f"unit/{unit_id}", ""
-        self.clocks = PeerClocks(self.name, clock_limits)
+        self.clocks, self._lab = PeerClocks(self.name, clock_limits, lab), lab
         self.latch: StopLatch = NO_COMMAND
         self._controller, self._oldest_s = controller, oldest_s
         self._reports: dict[int, UnitReport] = {}
@@ -108,7 +115,7 @@ class UnitCore:
     def heartbeat(self, now_s: float, state: str) -> Heartbeat:
         """Return the next heartbeat of this unit."""
         self._note_call(now_s)
-        return Heartbeat(self.clocks.heard(now_s), state)
+        return Heartbeat(self.clocks.heard(now_s), state, lab=self._lab)
 
     def see(self, detections: Detections, now_s: float) -> UnitNews | None:
         """Decide on the markers of an image, stamped by this unit's clock. None for a rejected image."""

@@ -35,7 +35,7 @@ from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain, to_json
 from skyherd.text import printable, shorten
 
-VERSION = 3
+VERSION = 4
 """Version of the format. It increases with every change that an older process would misread."""
 
 MAX_BYTES = 1 << 20
@@ -85,6 +85,7 @@ class Heartbeat:
         session: session of a robot, which an arm command must name; empty for other processes.
         armed: whether the robot is armed.
         ready: whether the robot would accept an arm command now.
+        lab: digest of the lab file of the process (`skyherd.live.lab.Lab.digest`); empty if it has none.
     """
 
     heard: Mapping[str, tuple[float, float]]
@@ -92,6 +93,7 @@ class Heartbeat:
     session: str = ""
     armed: bool = False
     ready: bool = False
+    lab: str = ""
 
 
 @dataclass(frozen=True)
@@ -179,6 +181,10 @@ class Envelope:
     def kind(self) -> str:
         """Kind name of the message."""
         return KIND_OF[type(self.message)]
+
+
+SESSION = "session"
+"""Process name of `live run`, which runs all processes of a lab on its machine."""
 
 
 class Refused(Exception):
@@ -306,6 +312,7 @@ def plain_message(name: str, body: Any) -> Message:
         )
     if kind is Heartbeat:
         heard = {_name(who): _stamps(when) for who, when in body["heard"].items()}
+        _name(body["lab"])
         return from_plain(Heartbeat, body, heard=heard)
     if kind is Arm:
         return Arm({_name(robot): _name(session) for robot, session in body["sessions"].items()})

@@ -1,5 +1,6 @@
 """A checked lab, which makes the cores of its unit and robot processes."""
 
+import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -63,6 +64,17 @@ class Lab:
     def ids(self) -> list[int]:
         """Numbers of the robots, ascending; their marker ids, if each has one."""
         return sorted(robot.id for robot in self.model.robots)
+
+    @cached_property
+    def digest(self) -> str:
+        """Return a digest of all that the processes of a team must agree on: 16 hexadecimal digits.
+
+        Left out is what may differ from machine to machine: addresses, radio and recording.
+        """
+        addresses = {"cameras": {"__all__": {"address", "driver", "calibration"}}}
+        drivers = {"robots": {"__all__": {"driver"}}}
+        content = self.model.model_dump_json(exclude={"radio": True, "recording": True} | addresses | drivers)
+        return hashlib.sha256(content.encode()).hexdigest()[:16]
 
     @cached_property
     def layout(self) -> MarkerLayout | None:
@@ -153,6 +165,7 @@ class Lab:
             self.make_controller(unit),
             oldest_s=self.model.limits.goal_timeout_s,
             clock_limits=self.clock_limits,
+            lab=self.digest,
         )
 
     @property
@@ -237,8 +250,12 @@ class Lab:
             limits.max_turn_accel_radps2,
         )
 
-    def make_robot(self, robot_id: int) -> RobotCore:
+    def make_robot(self, robot_id: int, *, supervised: bool = False) -> RobotCore:
         """Return the core of one robot: its decisions without I/O.
+
+        Args:
+            robot_id: number of the robot.
+            supervised: whether a session runs the robot, without which it must not drive.
 
         Raises:
             InputError: no robot has this marker.
@@ -256,4 +273,6 @@ class Lab:
             clock_limits=self.clock_limits,
             other_ids=self.body_ids if self.model.avoidance.on else [],
             avoidance=self.make_avoidance(),
+            lab=self.digest,
+            supervised=supervised,
         )

@@ -66,12 +66,13 @@ class ProcessLog:
         name: of the process, such as `robot/3`.
         lab: the set-up.
         now_s: current time.
+        supervised: whether a session runs the process.
 
     Raises:
         OSError: the file cannot be created.
     """
 
-    def __init__(self, path: Path, name: str, lab: Lab, now_s: float) -> None:
+    def __init__(self, path: Path, name: str, lab: Lab, now_s: float, *, supervised: bool = False) -> None:
         self.trouble: str | None = None
         self._path = path
         topics = topics_of(name)
@@ -79,6 +80,7 @@ class ProcessLog:
         about = {
             "name": name,
             "lab": lab.model.model_dump(mode="json"),
+            "supervised": supervised,
             "version": __version__,
             "format": VERSION,
             "topics": list(topics),

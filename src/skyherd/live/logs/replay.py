@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from skyherd.errors import InputError
-from skyherd.live.lab import make_lab
+from skyherd.live.lab import Lab, make_lab
 from skyherd.live.logs.process_log_file import check_format, read_process_log
 from skyherd.live.robot_core import RobotCore
 from skyherd.live.unit_core import UnitCore
@@ -47,7 +46,8 @@ def replay(path: Path) -> Replayed:
             if core is None:
                 check_format(record, path)
                 name = record["name"]
-                core = _core(name, make_lab(record["lab"], where=str(path)))
+                lab = make_lab(record["lab"], where=str(path))
+                core = _core(name, lab, supervised=bool(record["supervised"]))
         elif core is None:
             break
         elif topic == "/heard":
@@ -71,10 +71,8 @@ def replay(path: Path) -> Replayed:
     return Replayed(name, decisions, different, first_s, ended)
 
 
-def _core(name: str, lab: Any) -> RobotCore | UnitCore:
+def _core(name: str, lab: Lab, *, supervised: bool) -> RobotCore | UnitCore:
     kind, _, number = name.partition("/")
     if kind == "robot":
-        robot: RobotCore = lab.make_robot(int(number))
-        return robot
-    unit: UnitCore = lab.make_unit(int(number))
-    return unit
+        return lab.make_robot(int(number), supervised=supervised)
+    return lab.make_unit(int(number))

@@ -1,6 +1,7 @@
 """Tracking of robots in drawn videos with ground truth: positions, headings, shape errors and files."""
 
 import csv
+from dataclasses import replace
 
 import av
 import cv2
@@ -240,6 +241,21 @@ def test_errors_exclude_missing_unknown_and_repeated_ids() -> None:
     assert np.nanmax(errors.errors) < 1e-6 and tracks.ids.tolist() == [0, 1, 2, 3, 4, 17]
     _, path = tracks.path(4)
     assert np.isfinite(path[:, 0]).tolist() == [True, False, False, True, False]
+
+
+def test_missing_marker_of_another_size_moves_no_other() -> None:
+    """A robot of 20 px and a sign of 40 px: without the sign, the median side of an image is less.
+
+    In another image the robot is blurred, and seems to be 8 % larger.
+    """
+    places_px = np.array([[60.0, 80.0], [250.0, 180.0]])
+    tracks = GroundTracks("two sizes")
+    for number in range(9):
+        found = detections(places_px + number, [3, 42])
+        found = replace(found, sides_px=np.array([20.0 if number != 3 else 21.6, 40.0]))
+        tracks.add(number, found.select([3]) if number == 5 else found)
+    _, path = tracks.path(3)
+    np.testing.assert_allclose(np.diff(path, axis=0), np.diff(path, axis=0)[:1].repeat(8, axis=0), atol=1e-9)
 
 
 def run(*arguments):

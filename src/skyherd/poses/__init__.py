@@ -10,7 +10,7 @@ from skyherd.poses.calibration import Calibration
 from skyherd.poses.calibration_files import calibration_of, read_calibration
 from skyherd.poses.camera_poses import CameraPoses, camera_poses
 from skyherd.poses.common_frame import CommonFrame, View, common_frame, locate_camera
-from skyherd.poses.ground import check_side, ground_covariances, ground_positions
+from skyherd.poses.ground import check_side, ground_covariances, ground_positions, recording_scales
 from skyherd.poses.marker_poses import MarkerPoses, marker_poses
 
 __all__ = [
@@ -28,4 +28,5 @@ __all__ = [
     "locate_camera",
     "marker_poses",
     "read_calibration",
+    "recording_scales",
 ]

@@ -1,12 +1,13 @@
 """Ground positions of the robots in each image of one recording, and their distance from a shape.
 
-The marker side is the unit of length unless its size in metres is given. The ground is known up to a
+The median marker's side is the unit of length unless its size in metres is given. The ground is known up to a
 similarity, which the image fixes: x along +u, y against +v, and the image's centre as the origin. A moving
 camera therefore moves all tracks. It does not affect the shape error.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from skyherd.analysis.ground import shape_residual
 from skyherd.control import Rectifier, Template
 from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.messages import Detections
-from skyherd.poses import ground_covariances, ground_positions
+from skyherd.poses import ground_covariances, ground_positions, recording_scales
 
 
 @dataclass(frozen=True)
@@ -46,15 +47,14 @@ class GroundTracks:
         name: name of the recording.
         members: the robots; None for all markers. Other markers only help to rectify the ground.
         side_m: side of the markers, m; positions are then in metres. None for marker sides as the unit.
-        sightings: one for each image, in order.
         strangers: detected markers that are not members.
     """
 
     name: str
     members: frozenset[int] | None = None
     side_m: float | None = None
-    sightings: list[Sighting] = field(default_factory=list)
     strangers: set[int] = field(default_factory=set)
+    _images: list[tuple[int, Detections, Detections]] = field(default_factory=list)
     _rectifier: Rectifier = field(default_factory=Rectifier)
 
     def add(self, index: int, found: Detections) -> None:
@@ -64,10 +64,18 @@ class GroundTracks:
         if self.members is not None:
             self.strangers |= set(found.ids.tolist()) - self.members
             seen, flat = seen.select(self.members), flat.select(self.members)
-        side = self.side_m or 1.0
-        positions, covariances = ground_positions(flat, side), ground_covariances(flat, side)
-        headings_rad = -flat.headings_rad
-        self.sightings.append(Sighting(index, found.time_s, seen, positions, covariances, headings_rad))
+        self._images.append((index, seen, flat))
+        self.__dict__.pop("sightings", None)
+
+    @cached_property
+    def sightings(self) -> list[Sighting]:
+        """The markers of each image on the ground, in order."""
+        side, scales = self.side_m or 1.0, recording_scales([flat for _, _, flat in self._images])
+        sightings = []
+        for (index, seen, flat), scale in zip(self._images, scales.tolist(), strict=True):
+            positions, covariances = (of(flat, side, scale) for of in (ground_positions, ground_covariances))
+            sightings.append(Sighting(index, seen.time_s, seen, positions, covariances, -flat.headings_rad))
+        return sightings
 
     @property
     def unit(self) -> str:

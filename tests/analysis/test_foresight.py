@@ -15,6 +15,7 @@ from skyherd.loop import run_steps
         (["units.0.height_m=4"], "robots 0, 1, 5 in no view at the start"),
         (["marker.side_m=0.2"], "unit 0 sees markers 8.3 px wide"),
         (["duration_s=20"], "duration_s = 20 is below the predicted"),
+        (["size.spacing_sides=0.5"], "size.spacing_sides = 0.5 puts markers on top of each other"),
     ],
 )
 def test_planted_problem_is_the_only_warning(settings: list[str], words: str) -> None:

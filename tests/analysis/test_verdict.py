@@ -106,6 +106,18 @@ def test_verdict_names_views_that_do_not_cover_shape(ceiling_m, given) -> None:
     assert ("robots are outside the views of their units" in said) == given
 
 
+def test_verdict_names_a_run_that_is_too_short() -> None:
+    """The error of three steps says nothing of its trend."""
+    said = explain_outcome(history_of("triangle", "duration_s=0.2"))
+    assert "the run lasts 0.2 s, and the shape must be held for" in said
+
+
+def test_verdict_names_markers_that_cover_each_other() -> None:
+    settings = ["duration_s=90", "size.spacing_sides=0.1"]
+    said = explain_outcome(history_of("table", *settings, perception="rendered"))
+    assert "apart with markers 0.08 m wide, which cover each other; enlarge the shape (size)" in said
+
+
 def test_verdict_names_small_markers() -> None:
     settings = ["duration_s=0.2", "units.0.height_m=40", "marker.side_m=0.2", HOVER]
     said = explain_outcome(history_of("triangle", *settings, perception="rendered"))

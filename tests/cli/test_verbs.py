@@ -279,7 +279,7 @@ def test_scenario_verbs_list_show_and_check(capsys):
     assert code == 0
     assert all(name in listed for name in ("triangle", "star", "grid", "circle"))
     assert call(capsys, "scenario", "show", "star")[1] == scenario_text("star")
-    assert "16 robots, 3 unit(s)" in call(capsys, "scenario", "check", "star")[1]
+    assert "16 robots, 3 units" in call(capsys, "scenario", "check", "star")[1]
     assert json.loads(call(capsys, "scenario", "schema")[1])["title"] == "Scenario"
 
 

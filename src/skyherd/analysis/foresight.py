@@ -49,7 +49,7 @@ def foresee(mission: Mission) -> list[str]:
     """
     history, is_ready = deploy(mission)
     duration = _of_duration(history) if is_ready else []
-    return [*_of_views(history), *foresee_radio(mission), *duration]
+    return [*_of_views(history), *_of_size(mission), *foresee_radio(mission), *duration]
 
 
 def _of_views(history: History) -> Iterator[str]:
@@ -64,6 +64,16 @@ def _of_views(history: History) -> Iterator[str]:
                 f"unit {unit} sees markers {side_px:.1f} px wide; at least {MIN_MARKER_PX:g} px are needed: "
                 "lower height_m, or enlarge marker.side_m"
             )
+
+
+def _of_size(mission: Mission) -> Iterator[str]:
+    """Yield a warning if the finished shape puts markers on top of each other."""
+    spacing = mission.scenario.size.spacing_sides
+    if spacing is not None and spacing < 1:
+        yield (
+            f"size.spacing_sides = {spacing:g} puts markers on top of each other; at least 1 is needed, and "
+            "more for their white margins"
+        )
 
 
 def _of_duration(history: History) -> Iterator[str]:

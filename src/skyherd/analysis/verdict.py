@@ -90,8 +90,31 @@ def _cause(history: History) -> str:
     if history.mission.scenario.control.method == "similarity":
         causes = [_unseen, _undetected, _suspected, _out_of_range, _uncontrolled, _unshared]
         causes += [_uncovered, _stale]
-    causes += [_saturated, _falling, _changed, _resting, _bent]
+    causes += [_saturated, _falling, _changed, _brief, _resting, _bent]
     return next(filter(None, (cause(history) for cause in causes)), "the error no longer falls")
+
+
+def _brief(history: History) -> str | None:
+    """State that the run is shorter than the time for which the shape must be held."""
+    lasts_s, hold_s = float(np.ptp(history.times_s)), history.mission.scenario.goal.hold_s
+    if lasts_s >= hold_s:
+        return None
+    return f"the run lasts {lasts_s:g} s, and the shape must be held for {hold_s:g} s (goal.hold_s)"
+
+
+def _crowded(history: History) -> str | None:
+    """State that robots stand closer than their markers are wide, so that markers cover each other."""
+    side_m = history.mission.scenario.marker.side_m
+    places = history.positions_m[_last_part(history.times_s)]
+    gaps_m = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
+    gaps_m[:, np.arange(gaps_m.shape[1]), np.arange(gaps_m.shape[1])] = np.inf
+    nearest_m = float(np.median(gaps_m.min(axis=(1, 2))))
+    if nearest_m >= side_m:
+        return None
+    return (
+        f"robots stand {nearest_m:.2g} m apart with markers {side_m:g} m wide, which cover each other; "
+        "enlarge the shape (size)"
+    )
 
 
 def _unseen(history: History) -> str | None:
@@ -109,6 +132,8 @@ def _undetected(history: History) -> str | None:
         given = f"ids {_named(history.foreign_ids)}, which no robot has" if history.foreign_ids else ""
         return f"the markers in view have {given or 'the ids of other robots'}; check robots.ids"
     marker = history.mission.scenario.marker
+    if crowded := _crowded(history):
+        return crowded
     share = f"{100 * history.found / history.whole:.0f} % of the markers in view were detected"
     side_px = _usual_side_px(history)
     if side_px < MIN_MARKER_PX:
@@ -172,7 +197,12 @@ def _out_of_radius(history: History, lost: IntArray) -> str:
     radius = scenario.selection.radius
     radii = views.radii[:, lost]
     if (radii.min(axis=0) <= radius).all():
-        return "inside a safety radius, but no unit took control"
+        inside = "inside a safety radius, but no unit took control"
+        side_px = _usual_side_px(history)
+        small = (
+            f", since markers {side_px:.2g} px wide are too small: at least {MIN_MARKER_PX:g} px are needed"
+        )
+        return inside + small * (side_px < MIN_MARKER_PX)
     if views.in_view[:, lost].any(axis=0).all():
         return (
             f"in view, but outside the safety radius of {radius:g} (selection.radius); "

@@ -55,8 +55,11 @@ def check(
 
     mission = load_mission(file, settings or [])
     scenario = mission.scenario
-    say(f"{file}: good: {mission.ids.size} robots, {len(scenario.units)} unit(s), {scenario.duration_s:g} s")
-    for warning in foresee(mission):
+    warnings = foresee(mission)
+    word = "valid, with a warning" if warnings else "good"
+    units = f"{len(scenario.units)} unit{'s' * (len(scenario.units) > 1)}"
+    say(f"{file}: {word}: {mission.ids.size} robots, {units}, {scenario.duration_s:g} s")
+    for warning in warnings:
         warn(warning)
 
 

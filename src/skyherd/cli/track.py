@@ -119,6 +119,8 @@ def track(
     )
     for tracks in recordings:
         _warn_if_empty(tracks, ids)
+        if source is not None and tracks.ids.size and max(len(one.seen) for one in tracks.sightings) < 3:
+            warn(f"{tracks.name}: no shape error, which needs three robots in an image")
     tables = [TRACKS, *([SHAPE] if source else []), *([POSES] if calibration else [])]
     say(f"see {', '.join(str(folder / name) for name in (FIGURE, *tables))}")
     return 0 if any(tracks.ids.size for tracks in recordings) else 1

@@ -126,11 +126,24 @@ def survey(
             say(f"errors are {times:.2g} times those of image noise; the standard deviations contain this")
         return 0
     warn(
-        f"{folder}: the pictures contradict each other (chi-squared {found.frame.chi_squared:.3g} at "
-        f"{found.frame.freedoms} degrees of freedom): a marker moved, or a side or calibration is wrong; "
-        "name the markers that stand still with --fixed"
+        f"{folder}: {_contradiction(len(found.cameras), has_fixed=members is not None)} "
+        f"(chi-squared {found.frame.chi_squared:.3g} at {found.frame.freedoms} degrees of freedom)"
     )
     return 1
+
+
+def _contradiction(pictures: int, *, has_fixed: bool) -> str:
+    """Return which pictures contradict which assumption, and what to do."""
+    if pictures == 1:
+        return (
+            "the picture contradicts equal sides on one camera: --marker-side-m or the calibration is wrong"
+        )
+    if has_fixed:
+        return (
+            "the pictures contradict each other: a marker of --fixed moved, or a side or calibration is wrong"
+        )
+    which = "name the markers that stand still with --fixed"
+    return f"the pictures contradict each other: a marker moved, or a side or calibration is wrong; {which}"
 
 
 def _say_cameras(found: "Survey") -> None:
@@ -139,7 +152,7 @@ def _say_cameras(found: "Survey") -> None:
     for one in found.cameras:
         x, y, z = (f"{value:.4f}" for value in one.position_m)
         std_mm = 1000 * float(one.covariance.diagonal()[:3].max()) ** 0.5
-        rows.append((one.view, x, y, z, f"{std_mm:.2g}"))
+        rows.append((one.view, x, y, z, f"{std_mm:.1f}"))
     say_table(
         ("picture", "x, m", "y, m", "z, m", "std, mm"),
         rows,

@@ -146,7 +146,11 @@ class AerialController:
                 repeated id are ambiguous: they get no goals, and are bodies without identity.
             reports: the last report received from each other unit, of any age.
             obeying_ids: robots that follow goals now, by which the unit checks its camera; all if None.
+
+        Raises:
+            InputError: `detections` is not a Detections, as an image.
         """
+        check_kind("AerialController.step: detections", detections, Detections, "what a detector returns")
         ambiguous = self.ambiguous_ids.update(detections)
         everything = self._in_team_time(detections, reports)
         detections = everything.without(ambiguous)

@@ -20,7 +20,10 @@ def check_grey(image: Image) -> Image:
     if not isinstance(image, np.ndarray):
         raise InputError("image", f"a {type(image).__name__}", "grey, (height, width), uint8")
     if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < 1:
-        raise InputError("image", f"shape {image.shape}, {image.dtype}", "grey, (height, width), uint8")
+        allowed = "grey, (height, width), uint8"
+        if image.ndim == 3:
+            allowed += "; cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) converts colour"
+        raise InputError("image", f"shape {image.shape}, {image.dtype}", allowed)
     return np.ascontiguousarray(image)
 
 

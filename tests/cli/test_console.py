@@ -33,6 +33,14 @@ def test_input_warning_is_one_line_printed_once(capsys):
         warnings.warn(InputWarning("a.tif: 3 pages"), stacklevel=1)
 
 
+def test_table_in_a_pipe_has_whole_names(capsys, monkeypatch):
+    """A terminal of 80 columns would show several rows alike."""
+    monkeypatch.setenv("COLUMNS", "80")
+    name = "hologlyph_top__PXL_20240225_141225262.MP_and_more_of_it_so_that_no_terminal_holds_it.jpg"
+    say_table(("file", "ids"), [(name, ", ".join(map(str, range(60))))])
+    assert capsys.readouterr().out.splitlines()[1].split()[0] == name
+
+
 def test_table_keeps_brackets_and_is_empty_without_rows(capsys):
     say_table(("file", "markers"), [("[red].png", "3"), ("b.png", "12")], right_aligned=("markers",))
     lines = capsys.readouterr().out.splitlines()

@@ -82,7 +82,11 @@ def test_span_is_closed_under_exclusive_or() -> None:
 def test_names_are_new_and_listed() -> None:
     theirs = {name.removeprefix("DICT_") for name in dir(cv2.aruco) if name.startswith("DICT_")}
     assert not theirs & set(CODES)
-    assert theirs | set(CODES) == set(dictionary_names())
+    names = dictionary_names()
+    assert set(names) <= theirs | set(CODES)
+    folded = [name.upper() for name in names]
+    assert set(folded) == {name.upper() for name in theirs | set(CODES)} and len(set(folded)) == len(folded)
+    assert "APRILTAG_36h11" in names and "APRILTAG_36H11" not in names
     with pytest.raises(InputError, match=r"no dictionary '6X6_4001'.*6X6_7900"):
         load_dictionary("6X6_4001")
 

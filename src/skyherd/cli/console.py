@@ -53,10 +53,14 @@ def _one_line(text: str) -> str:
     return shorten(printable(" ".join(text.split())), MAX_CHARACTERS)
 
 
+PIPE_WIDTH = 100_000
+"""Width of a table that is not printed on a terminal, characters. Chosen: no cell is that long."""
+
+
 def say_table(
     header: Sequence[str], rows: Iterable[Sequence[str]], *, right_aligned: Collection[str] = ()
 ) -> None:
-    """Print a table without lines on stdout, cells wrapped to the terminal's width; nothing without rows.
+    """Print a table without lines on stdout, wrapped to the width of a terminal; nothing without rows.
 
     Args:
         header: name of each column.
@@ -73,7 +77,11 @@ def say_table(
     for row in rows:
         table.add_row(*(Text(printable(cell, keep="\n")) for cell in row))
     if table.row_count:
-        Console(highlight=False, soft_wrap=True).print(table)
+        console = Console(highlight=False, soft_wrap=True)
+        # Through a pipe nothing wraps, so that each row has its whole cells.
+        if not console.is_terminal:
+            console.width = PIPE_WIDTH
+        console.print(table)
 
 
 class ProgressReporter:

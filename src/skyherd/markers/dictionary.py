@@ -34,13 +34,13 @@ DISTANCE_SAMPLE = 200
 
 
 def dictionary_names() -> list[str]:
-    """List the names of OpenCV's dictionaries, without `DICT_`, and of the generated ones."""
-    return sorted(
-        [
-            *CODES,
-            *(name.removeprefix(OPENCV_PREFIX) for name in dir(cv2.aruco) if name.startswith(OPENCV_PREFIX)),
-        ]
-    )
+    """List the names of OpenCV's dictionaries, without `DICT_`, and of the generated ones.
+
+    Of names that differ in capitals alone, such as `APRILTAG_16h5`, the one in small letters is listed.
+    """
+    of_opencv = (name for name in dir(cv2.aruco) if name.startswith(OPENCV_PREFIX))
+    names = sorted([*CODES, *(name.removeprefix(OPENCV_PREFIX) for name in of_opencv)])
+    return sorted({name.upper(): name for name in names}.values())
 
 
 @cache
@@ -107,7 +107,9 @@ def load_dictionary(name: str) -> cv2.aruco.Dictionary:
         raise InputError(
             "marker dictionary",
             f"no dictionary {name!r}",
-            one_of(name.removeprefix(OPENCV_PREFIX), dictionary_names()),
+            "the name that `skyherd detect --dictionary auto` finds"
+            if name == "auto"
+            else one_of(name.removeprefix(OPENCV_PREFIX), dictionary_names()),
         )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"{OPENCV_PREFIX}{name}"))
 

@@ -40,10 +40,14 @@ class Stage:
 def latency_stages(session: SessionHistory) -> list[Stage]:
     """Return the stages in order, and the total latency last.
 
-    Stages of a unit are measured once per image, and stages of robots once per received goal. Times on two
-    clocks are compared only if the offset of the clocks is known.
+    Stages of a unit are measured once per image, and stages of robots once per received goal. Images that
+    gave no robot a goal, as those after a stop, count only if there are no others: the total latency has none
+    of them. Times on two clocks are compared only if the offset of the clocks is known.
     """
     images = np.array([stages for log in session.logs("unit") for stages in log.stages]).reshape(-1, 5)
+    aimed_s = [news.captured_s for log in session.logs("robot") for news in log.goals]
+    has_goals = np.isin(images[:, 0], aimed_s)
+    images = images[has_goals] if has_goals.any() else images
     between = np.diff(images, axis=1)
     goals = [(news, news.known.offset_s) for log in session.logs("robot") for news in _compared(log.goals)]
     sent_s = _column(news.sent_s - offset_s for news, offset_s in goals)

@@ -1,6 +1,7 @@
 """Reading of recordings: a run's mission and steps, as far as its file is readable."""
 
 import base64
+import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -88,7 +89,7 @@ def read_recording(path: Path) -> Recording:
         InputError: the file holds no mission or no step, or has another version of skyherd.
     """
     check_kind("read_recording: path", path, (str, Path), "a path")
-    with _opened(path) as (stream, found):
+    with _opened(path) as (stream, found), _no_garbage_collection():
         mission: Mission | None = None
         versions: dict[str, str] = {}
         steps: list[Step] = []
@@ -152,6 +153,21 @@ def read_pictures(path: Path) -> Iterator[tuple[float, int, bytes]]:
             with _version_checked(path):
                 unit, jpeg = int(topic.split("/")[2]), base64.b64decode(record["data"])
             yield time_s, unit, jpeg
+
+
+@contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """Pause the search for cyclic garbage, which visits all steps read so far again and again.
+
+    Steps have no cycles. *Measured*: 3003 images take 1.5 s instead of 1.8 s.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 @contextmanager

@@ -217,6 +217,13 @@ class TestArm:
         assert not any(robot.armed or robot.commands for robot in team.robots.values())
         assert command.outcome().failure == "the command was given more than 20 s ago"
 
+    def test_single_robots_are_armed_alone(self) -> None:
+        """A robot that its commands move away from its goal shows that alone, without others near."""
+        team = ScriptedTeam()
+        outcome = arm(LAB, team.watched, robots=[4, 2])
+        assert outcome.is_complete and outcome.done == [2, 4]
+        assert [robot for robot, each in team.robots.items() if each.armed] == [2, 4]
+
     def test_command_that_starts_late_arms_nothing(self) -> None:
         team = ScriptedTeam()
         outcome = arm(LAB, team.watched, given_s=team.now_s - ARM_DELAY_S)

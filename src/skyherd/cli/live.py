@@ -181,10 +181,20 @@ def run(
 
 
 @live_app.command()
-def arm(lab_file: LabFile, settings: Settings = None, insecure: Insecure = False) -> int:
+def arm(
+    lab_file: LabFile,
+    robots: Annotated[
+        list[int] | None,
+        typer.Option("--robot", metavar="ID", help="Arm this robot alone; may be given several times."),
+    ] = None,
+    settings: Settings = None,
+    insecure: Insecure = False,
+) -> int:
     """Arm all robots of a running lab, which units have to see. Exit code 1 if some robot is not armed.
 
-    A stop that is given after the command is not cleared, also while the command is still starting.
+    Arm each robot alone at first, and watch whether it drives towards its goal: exchanged markers and
+    reversed wheels are not noticed. A stop that is given after the command is not cleared, also while the
+    command is still starting.
     """
     from skyherd.live import operator
     from skyherd.live.live_clock import LiveClock
@@ -192,7 +202,9 @@ def arm(lab_file: LabFile, settings: Settings = None, insecure: Insecure = False
 
     with joined_team(lab_file, settings, insecure) as (lab, radio):
         watched = operator.watch(lab, radio, LiveClock())
-        return _report("armed", operator.arm(lab, watched, given_s=STARTED_S))
+        for robot in robots or []:
+            lab.robot(robot)
+        return _report("armed", operator.arm(lab, watched, given_s=STARTED_S, robots=robots or None))
 
 
 @live_app.command()

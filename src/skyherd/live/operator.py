@@ -1,7 +1,7 @@
 """Commands of an operator, from any process of the team: arm, stop and watch."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -208,7 +208,7 @@ class StopCommand:
 
 
 class ArmCommand:
-    """Command that arms all robots, each at most once. The first newer stop cancels it.
+    """Command that arms robots, each at most once. The first newer stop cancels it.
 
     Args:
         lab: the set-up.
@@ -217,12 +217,19 @@ class ArmCommand:
             clears no other stop.
         given_s: when it was given, on the operator's clock; now if left out. After `ARM_DELAY_S` it arms no
             robot.
+        robots: the robots to arm; all of the lab if left out.
     """
 
     def __init__(
-        self, lab: Lab, watched: Watch, known: StopLatch | None = None, given_s: float | None = None
+        self,
+        lab: Lab,
+        watched: Watch,
+        known: StopLatch | None = None,
+        given_s: float | None = None,
+        robots: Collection[int] | None = None,
     ) -> None:
-        self._lab, self._watched = lab, watched
+        self._watched = watched
+        self._robots = sorted(lab.ids if robots is None else robots)
         self._given_s = watched.clock() if given_s is None else given_s
         self._sent_s = -float("inf")
         self._done: set[int] = set()
@@ -240,12 +247,12 @@ class ArmCommand:
 
         Return whether all robots are armed, a newer stop cancels it, or it has expired.
         """
-        self._done |= {robot for robot in self._lab.ids if self._is_armed(robot)}
-        if self.is_void or self._has_expired() or len(self._done) == len(self._lab.ids):
+        self._done |= {robot for robot in self._robots if self._is_armed(robot)}
+        if self.is_void or self._has_expired() or len(self._done) == len(self._robots):
             return True
         if self._watched.clock() - self._sent_s >= REPEAT_S:
             alive = self._watched.alive()
-            waiting = [f"robot/{robot}" for robot in self._lab.ids if robot not in self._done]
+            waiting = [f"robot/{robot}" for robot in self._robots if robot not in self._done]
             sessions = {name: alive[name].session for name in waiting if name in alive}
             if sessions:
                 self._sent_s = self._watched.clock()
@@ -254,7 +261,7 @@ class ArmCommand:
 
     def outcome(self) -> Outcome:
         """Return the robots armed by this command, and the others."""
-        confirmed = {robot: robot in self._done and not self.is_void for robot in self._lab.ids}
+        confirmed = {robot: robot in self._done and not self.is_void for robot in self._robots}
         failure = f"the command was given more than {ARM_DELAY_S:g} s ago" * self._has_expired()
         failure = "a stop is newer than this command" if self.is_void else failure
         if self._watched.latch.stop == MAX_STOP:
@@ -279,8 +286,15 @@ def watch(lab: Lab, radio: Radio, clock: Callable[[], float], name: str = "opera
     return watched
 
 
-def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S, *, given_s: float | None = None) -> Outcome:
-    """Arm all robots, and return the confirmations received within `settle_s`.
+def arm(
+    lab: Lab,
+    watched: Watch,
+    settle_s: float = SETTLE_S,
+    *,
+    given_s: float | None = None,
+    robots: Collection[int] | None = None,
+) -> Outcome:
+    """Arm robots, and return the confirmations received within `settle_s`.
 
     A stop that was given after the command is not cleared: one that is heard while the numbers are learned,
     or whose number is a time of day since.
@@ -290,6 +304,7 @@ def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S, *, given_s: float 
         watched: the operator's view of the team.
         settle_s: longest wait for all robots.
         given_s: when the command was given, on the operator's clock; now if left out.
+        robots: the robots to arm; all of the lab if left out.
     """
     began_s = watched.clock()
     given_s = began_s if given_s is None else given_s
@@ -299,7 +314,7 @@ def arm(lab: Lab, watched: Watch, settle_s: float = SETTLE_S, *, given_s: float 
     latest = stop_number(watched.clock() + CLOCK_ERROR_S)
     is_since = stop_number(given_s) <= watched.latch.stop <= latest
     known = NO_COMMAND if is_since or watched.stop_heard_s >= began_s else None
-    return _insist(ArmCommand(lab, watched, known, given_s), watched, settle_s)
+    return _insist(ArmCommand(lab, watched, known, given_s, robots), watched, settle_s)
 
 
 def stop(lab: Lab, watched: Watch, why: str, settle_s: float = SETTLE_S) -> Outcome:

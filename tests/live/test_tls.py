@@ -281,7 +281,7 @@ def test_incomplete_certificates_are_refused(tmp_path, missing) -> None:
 @pytest.mark.parametrize(
     ("listen", "connect", "certified", "expected"),
     [
-        (["tcp/127.0.0.1:1"], ["tcp/127.0.0.1:1"], False, ["tcp/127.0.0.1:0"]),
+        (["tcp/127.0.0.1:1"], ["tcp/127.0.0.1:1"], False, "plain"),
         (["tls/127.0.0.1:1"], ["tls/127.0.0.1:1"], False, []),
         (["tcp/192.168.0.2:1"], ["tcp/127.0.0.1:1"], False, []),
         (["tls/127.0.0.1:1"], ["tls/127.0.0.1:1"], True, ["tls/127.0.0.1:0"]),
@@ -291,7 +291,8 @@ def test_incomplete_certificates_are_refused(tmp_path, missing) -> None:
     ],
 )
 def test_additional_ports_are_plain_on_unsecured_loopback_only(listen, connect, certified, expected) -> None:
-    from skyherd.live.zenoh_radio import additional_places
+    from skyherd.live.zenoh_radio import is_plain, tls_places
 
     places = LabRadio(listen=listen, connect=connect, **(FILES if certified else {}))
-    assert additional_places(places) == expected
+    assert is_plain(places) == (expected == "plain")
+    assert tls_places(places) == ([] if expected == "plain" else expected)

@@ -9,12 +9,9 @@ from typing import Any
 
 from skyherd.errors import InputError
 from skyherd.live.lab import LabRadio
+from skyherd.live.local_peers import LocalPeers
 from skyherd.live.mailbox import Radio
 from skyherd.plugins import import_extra
-
-ANY_PORT = "tcp/127.0.0.1:0"
-"""Additional endpoint of a process without TLS: any free port of loopback. Only one process of a machine gets
-the port of the lab file. The others connect to it, learn each other's endpoints, and connect directly."""
 
 RETRY_MS = 300
 """Interval of retries to listen and to connect, ms. Chosen: a new process may be without peers for this
@@ -29,7 +26,9 @@ class ZenohRadio(Radio):
 
     Peers exchange the endpoints that they know, so each one needs to reach only one other. A process without
     the port of the lab file retries, and takes it over when it is free: no process is a single point of
-    failure. It also retries to connect. Two processes that start together find no port open at first.
+    failure. It also retries to connect. Two processes that start together find no port open at first. Without
+    TLS a process connects to others of its machine as well (`LocalPeers`), since the one that owns the port
+    may be suspended.
 
     Args:
         places: endpoints to listen on and to connect to.
@@ -44,13 +43,15 @@ class ZenohRadio(Radio):
         places.check(insecure=insecure)
         zenoh = import_extra("zenoh", "eclipse-zenoh", "radio", "live")
         config = zenoh.Config()
+        self._peers = LocalPeers([*places.listen, *places.connect]) if is_plain(places) else None
+        own, others = ([self._peers.own], self._peers.others()) if self._peers else (tls_places(places), [])
         settings: dict[str, Any] = {
             "mode": "peer",
-            "listen/endpoints": [*places.listen, *additional_places(places)],
+            "listen/endpoints": [*places.listen, *own],
             "listen/exit_on_failure": False,
             "listen/timeout_ms": -1,
             "listen/retry": {"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS},
-            "connect/endpoints": places.connect,
+            "connect/endpoints": [*places.connect, *others],
             "connect/exit_on_failure": False,
             "connect/timeout_ms": -1,
             "connect/retry": {"period_init_ms": RETRY_MS, "period_max_ms": RETRY_MS},
@@ -73,6 +74,8 @@ class ZenohRadio(Radio):
         except zenoh.ZError as error:
             what = " ".join(str(error).split())
             raise InputError("radio", what, "listen and connect as Zenoh writes them") from None
+        if self._peers:
+            self._peers.enter()
         self._error = zenoh.ZError
         self._drop = zenoh.CongestionControl.DROP
         self._subscribers: list[Any] = []
@@ -94,6 +97,8 @@ class ZenohRadio(Radio):
         task of the retries (eclipse-zenoh/zenoh issue 2675 and pull request 2754, both open in August 2026).
         The connections end with the process at the latest, and the other peers notice.
         """
+        if self._peers:
+            self._peers.leave()
         closing = threading.Thread(target=self._close_session, daemon=True)
         closing.start()
         closing.join(CLOSE_S)
@@ -103,16 +108,16 @@ class ZenohRadio(Radio):
             self._session.close()
 
 
-def additional_places(places: LabRadio) -> list[str]:
-    """Return the additional endpoints of a process, on any free port.
+def tls_places(places: LabRadio) -> list[str]:
+    """Return additional endpoints with TLS on any free port, for the hosts of the certificate."""
+    if not places.has_certificates:
+        return []
+    named = places.listen or (places.connect if places.is_loopback else [])
+    hosts = (place.partition("/")[2].rpartition(":")[0] for place in named)
+    return [f"tls/{host}:0" for host in dict.fromkeys(hosts) if host]
 
-    With certificates they use TLS and the hosts of the lab file, for which the certificate was issued.
-    Without certificates there is one plain endpoint on loopback, if all endpoints of the file are plain and
-    on loopback.
-    """
-    if places.has_certificates:
-        named = places.listen or (places.connect if places.is_loopback else [])
-        hosts = (place.partition("/")[2].rpartition(":")[0] for place in named)
-        return [f"tls/{host}:0" for host in dict.fromkeys(hosts) if host]
+
+def is_plain(places: LabRadio) -> bool:
+    """Return whether all endpoints of a lab file are on loopback and without TLS."""
     plain = len(places.plain_places) == len(places.listen) + len(places.connect)
-    return [ANY_PORT] if places.is_loopback and plain else []
+    return not places.has_certificates and places.is_loopback and plain

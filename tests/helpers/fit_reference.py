@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from skyherd.geometry import SQUARE_CORNERS
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.native.records import UNKNOWNS
 from skyherd.vision.photometric.fitting.appearance import appearances_of
@@ -106,6 +107,27 @@ def fit_markers(
         ids, solution, homographies, residuals, moved_px, blurs, variances, correlation=correlation
     )
     return results, plane
+
+
+def fit_freely(image, homographies, appearances, max_steps, settled_px):
+    """Fit markers with all eight numbers of each homography free, as `free_fit.c` does.
+
+    Returns the homographies, the solution, the largest residuals (N,), and ratios (N, 2) of variances and
+    their numbers of boxes (N,).
+    """
+    rows, everyone = np.arange(len(homographies)), np.ones(len(homographies), dtype=bool)
+    samples, n_cells = PixelSamples(rows.size), appearances.cells.shape[1] - 2
+    for _ in range(max_steps):
+        start = homographies
+        samples.read(image, rows, start, appearances)
+        solution = with_common_tone(with_even_light(samples.solution(), everyone), everyone)
+        homographies, _ = stepped(solution, start)
+        moved = np.abs(homographies.images(SQUARE_CORNERS) - start.images(SQUARE_CORNERS))
+        if moved.max() < settled_px:
+            break
+    ratios, boxes = samples.variance_ratios(everyone, solution, homographies)
+    _, peaks = samples.cell_residuals(rows, solution, n_cells)
+    return homographies, solution, peaks, ratios, boxes
 
 
 def _cells_are_right(cell_means, contrasts):

@@ -192,6 +192,7 @@ def fuzz_marker_fit(library, rng, image, cells, count):
     streak = None if rng.random() < 0.5 else complex(rng.normal())
     given = image, start, looks, cells, fit_constants(), 6.0, 3.0, 6, bool(rng.integers(0, 2)), streak
     fits, _ = library.fit_markers(FitRequest(*given), plane)
+    library.fit_freely(FitRequest(*given), float(rng.choice([1e-3, 1e300, np.inf])))
     if streak is not None:
         library.streak_evidence(FitRequest(*given))
     levels = (scale * rng.normal(size=count) for scale in (50.0, 100.0, 2.0))

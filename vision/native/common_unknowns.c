@@ -279,3 +279,17 @@ int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, 
     release_tests(&tests);
     return result;
 }
+
+/* Do so for markers that share no plane: all decide on light and the tone curve, and all unknowns of a pose stay free. */
+int32_t hold_light_and_tone(const FitRequest *given, const Homography *start, const Solutions *free, Solutions *held) {
+    Tests tests;
+    const int32_t result = allocate_tests(&tests, given, start);
+    if (!result) {
+        copy_solutions(free, held);
+        for (int64_t k = 0; k < given->count; k++) tests.inliers[k] = 1;
+        hold_even_light(&tests, held);
+        hold_common_tone(&tests, held);
+    }
+    release_tests(&tests);
+    return result;
+}

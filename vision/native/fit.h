@@ -8,7 +8,7 @@
  *   4. least_squares.c   the solution, with unknowns free, held or expected
  *   5. common_unknowns.c what all markers share: even light, the tone curve, the plane (plane_fit.c)
  * marker_pixels.c does steps 1 to 4 for one marker. visible_fit.c fits those pixels of markers that agree, where something
- * covers the others. streak.c asks settled markers for a streak of motion. homography.h
+ * covers the others. free_fit.c fits markers that share no plane. streak.c asks settled markers for a streak of motion. homography.h
  * has the geometry of a marker. image_noise.c reads the noise of an image from the image alone.
  *
  * The formulas are those of vision/photometric/fitting/design_matrix.py. Pixels are in the order of the markers, line by
@@ -184,11 +184,13 @@ int32_t hold_common_unknowns(const FitRequest *given, const Homography *start, c
                              const Solutions *free, Plane *plane, Solutions *held);
 int32_t hold_visible_unknowns(const FitRequest *given, const Homography *start, const Solutions *free, int find,
                               Plane *plane, Solutions *held);
+int32_t hold_light_and_tone(const FitRequest *given, const Homography *start, const Solutions *free, Solutions *held);
 int32_t fit_plane(const PlaneLimits *limits, const Complex *points, const Complex *anisotropies, const double *variances,
                   int64_t count, int32_t most, Plane *plane);
 int is_request_valid(const FitRequest *given);
 int32_t streak_evidence(const FitRequest *given, double *informations, double *scores);
 int32_t fit_markers(const FitRequest *given, Plane *plane, Fit *fits, double *cell_means);
 int32_t fit_visible(const VisibleRequest *given, Plane *plane, Fit *fits, double *cell_means);
+int32_t fit_freely(const FitRequest *given, double settled_px, Fit *fits, double *cell_means, double *covariances);
 
 #endif

@@ -96,7 +96,6 @@ typedef struct { double value, weight; } Weighted;
 double weighted_median(Weighted *values, int64_t count);
 double within_blur_limits(const FollowConstants *constants, const Fit *fit, int32_t n);
 Appearance appearance_of(const FollowConstants *constants, double sigma);
-Complex image_of(const Homography *at, Complex z);
 void predict(const Track *track, double time_s, double max_log_growth, Homography *place);
 double shift_sides(const Homography *before, const Homography *after);
 void find_in_view(const FollowRequest *given, FollowResults *results);

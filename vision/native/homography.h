@@ -37,6 +37,25 @@ static inline Homography moved(const Homography *at, Complex shift, Complex grow
     };
 }
 
+/* Corners of a marker, right + i down, from front left on. */
+static const Complex SQUARE_CORNERS[4] = {{-0.5, -0.5}, {0.5, -0.5}, {0.5, 0.5}, {-0.5, 0.5}};
+
+/* Return the image of a point of a marker's plane: p_0 + d / (1 + Re(h̄ d)), d = m z + k z̄. */
+static inline Complex image_of(const Homography *at, Complex z) {
+    const Complex away = plus(times(at->similarity, z), times(at->anisotropy, conjugate(z)));
+    return plus(at->center, scaled(away, 1 / (1 + times(conjugate(at->perspective), away).re)));
+}
+
+/* Return by how much a marker's corners moved at most, px. */
+static inline double corner_shift_px(const Homography *before, const Homography *after) {
+    double largest = 0;
+    for (int corner = 0; corner < 4; corner++) {
+        const Complex one = image_of(before, SQUARE_CORNERS[corner]), other = image_of(after, SQUARE_CORNERS[corner]);
+        largest = fmax(largest, magnitude(minus(other, one)));
+    }
+    return largest;
+}
+
 /* Return the anisotropy ε that a plane gives to a marker at p, px from the image's centre. */
 static inline Complex anisotropy_at(Complex a, Complex h, Complex p) {
     const Complex half_p = scaled(p, 0.5), conjugate_h = conjugate(h), one = complex_of(1);

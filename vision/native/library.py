@@ -274,6 +274,29 @@ class Library(SearchFunctions):
         """
         return self._fit(self.functions.fit_visible, request.structure(), request.markers, plane)
 
+    def fit_freely(
+        self, request: FitRequest, settled_px: float
+    ) -> tuple[npt.NDArray[np.void], Array]:
+        """Fit markers with all eight numbers of each homography free (`photometric.outlines`).
+
+        Args:
+            request: the markers, N of them, at least one.
+            settled_px: shift of the corners below which a step is the last one, px.
+
+        Returns:
+            The fits (N,) of `FIT`, and covariances (N, 8, 8) of the unknowns `POSE` in marker units, if noise
+            is independent from pixel to pixel.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is out of range.
+        """
+        given, count, n_cells = request.structure(), len(request.start), request.cells.shape[1] - 2
+        fits, means = np.empty(count, dtype=FIT), np.empty((count, n_cells, n_cells))
+        covariances = np.empty((count, 8, 8))
+        results = fits.ctypes.data, means.ctypes.data, covariances.ctypes.data
+        check(self.functions.fit_freely(ctypes.byref(given), settled_px, *results), ERRORS)
+        return fits, covariances
+
     def streak_evidence(self, request: FitRequest) -> tuple[Array, Array]:
         """Return the informations (N, 2, 2) and scores (N, 2) of `fitting.streak_evidence` for N markers.
 
@@ -408,6 +431,7 @@ def declared(functions: ctypes.CDLL) -> Library:
         "hold_unknowns": (integer, *(pointer,) * 3, long, integer, integer, pointer, pointer),
         "fit_markers": (integer, pointer, pointer, pointer, pointer),
         "fit_visible": (integer, pointer, pointer, pointer, pointer),
+        "fit_freely": (integer, pointer, ctypes.c_double, *(pointer,) * 3),
         "streak_evidence": (integer, pointer, pointer, pointer),
         "fit_patterns": (integer, pointer, pointer),
         "best_rectangles": (integer, pointer, long, integer, pointer, integer, pointer, pointer),

@@ -1,9 +1,6 @@
 /* Where markers will be in the next image, and how they moved (vision/photometric/tracks.py). */
 #include "follow.h"
 
-/* Corners of a marker, right + i down, from front left on. */
-static const Complex SQUARE_CORNERS[4] = {{-0.5, -0.5}, {0.5, -0.5}, {0.5, 0.5}, {-0.5, 0.5}};
-
 static Complex exponential(Complex a) {
     const double size = exp(a.re);
     return (Complex){size * cos(a.im), size * sin(a.im)};
@@ -22,12 +19,6 @@ static Complex turn_within(Complex log_rate, double elapsed_s, double max_log_gr
     return exponential((Complex){fmax(-max_log_growth, fmin(sum.re, max_log_growth)), sum.im});
 }
 
-/* Return the image of a point of a marker's plane: p_0 + d / (1 + Re(h̄ d)), d = m z + k z̄. */
-Complex image_of(const Homography *at, Complex z) {
-    const Complex away = plus(times(at->similarity, z), times(at->anisotropy, conjugate(z)));
-    return plus(at->center, scaled(away, 1 / (1 + times(conjugate(at->perspective), away).re)));
-}
-
 /* Predict a marker's homography: similarities go on turning and growing, and centres on an arc go on with them. */
 void predict(const Track *track, double time_s, double max_log_growth, Homography *place) {
     const Homography *last = &track->homography;
@@ -44,12 +35,7 @@ void predict(const Track *track, double time_s, double max_log_growth, Homograph
 
 /* Return by how much a marker's corners moved at most, in its sides. */
 double shift_sides(const Homography *before, const Homography *after) {
-    double largest = 0;
-    for (int corner = 0; corner < 4; corner++) {
-        const Complex one = image_of(before, SQUARE_CORNERS[corner]), other = image_of(after, SQUARE_CORNERS[corner]);
-        largest = fmax(largest, magnitude(minus(other, one)));
-    }
-    return largest / side_px(before);
+    return corner_shift_px(before, after) / side_px(before);
 }
 
 static int is_inside(Complex point, int64_t height, int64_t width) {

@@ -14,8 +14,9 @@ from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, ComplexArray, to_
 from skyherd.markers.dictionary import with_border
 from skyherd.messages import Detections, Quality
 from skyherd.vision.grey import Image, check_grey
+from skyherd.vision.native.library import library
 from skyherd.vision.photometric.fitting.appearance import appearances_of
-from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES, with_common_tone, with_even_light
+from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
 from skyherd.vision.photometric.fitting.correlated_noise import PooledRatios
 from skyherd.vision.photometric.fitting.design_matrix import (
     ANISOTROPY,
@@ -26,9 +27,9 @@ from skyherd.vision.photometric.fitting.design_matrix import (
     RIGHT,
     TURN,
 )
-from skyherd.vision.photometric.fitting.fit import PixelSamples, has_outlier_pixels, stepped
+from skyherd.vision.photometric.fitting.fit import fit_request, has_outlier_pixels
 from skyherd.vision.photometric.fitting.fit_result import FitResults
-from skyherd.vision.photometric.fitting.least_squares import MIN_CONTRAST, LeastSquaresSolution
+from skyherd.vision.photometric.fitting.least_squares import MIN_CONTRAST
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.refine import (
@@ -117,40 +118,28 @@ def _fit_freely(
         sigmas_px: (N,) standard deviations of the blur of lens and pixel together.
         noise: standard deviation of a pixel, grey levels.
     """
-    homographies, everyone = fits.homographies, np.ones(fits.ids.size, dtype=bool)
-    appearances = appearances_of(dictionary, fits.ids, homographies.blurs(sigmas_px), OWN_PLANES, noise)
+    blurs = fits.homographies.blurs(sigmas_px)
+    appearances = appearances_of(dictionary, fits.ids, blurs, OWN_PLANES, noise)
     appearances = replace(appearances, black_ratios=fits.blacks / np.maximum(fits.contrasts, MIN_CONTRAST))
-    samples = PixelSamples(fits.ids.size)
-    for _ in range(MAX_STEPS):
-        start = homographies
-        samples.read(image, np.arange(fits.ids.size), start, appearances)
-        solution = with_common_tone(with_even_light(samples.solution(), everyone), everyone)
-        homographies, _ = stepped(solution, start)
-        moved = np.abs(homographies.images(SQUARE_CORNERS) - start.images(SQUARE_CORNERS))
-        if moved.max() < SETTLED_PX:
-            break
-    ratios, boxes = samples.variance_ratios(everyone, solution, homographies)
-    factors = PooledRatios().updated(ratios, boxes).factors()
-    _, peaks = samples.cell_residuals(np.arange(fits.ids.size), solution, fits.cell_means.shape[1])
-    explained = ~has_outlier_pixels(peaks, solution.contrasts(), solution.noise_stds())
-    return homographies, _corner_covariances(solution, homographies, factors), explained
+    request = fit_request(image, fits.homographies, appearances, noise, MAX_STEPS)
+    records, by_pose = library().fit_freely(request, SETTLED_PX)
+    homographies = LocalHomographies.of_records(records["homography"])
+    factors = PooledRatios().updated(records["variance_ratios"], records["boxes"]).factors()
+    contrasts = np.maximum(records["contrasts"], MIN_CONTRAST)
+    explained = ~has_outlier_pixels(records["peaks"], contrasts, records["noise_stds"])
+    return homographies, _corner_covariances(by_pose, homographies, factors), explained
 
 
-def _corner_covariances(
-    solution: LeastSquaresSolution, homographies: LocalHomographies, factors: Array
-) -> Array:
+def _corner_covariances(by_pose: Array, homographies: LocalHomographies, factors: Array) -> Array:
     """Return the covariances (N, 8, 8) of the corners, px², from those of the pose's eight unknowns.
 
     Correlated noise multiplies the variance of the corners' mean by the factor of positions, and that of the
     rest by the factor of headings (`correlated_noise`).
     """
-    jacobians = _corners_by_pose(homographies)
-    scale = (solution.noise_stds() / solution.contrasts()) ** 2
-    covariances = solution.inverse_normals[:, POSE][:, :, POSE] * scale[:, None, None]
     mean = np.kron(np.full((4, 4), 0.25), np.eye(2))
     spread = np.sqrt(factors[0]) * mean + np.sqrt(factors[1]) * (np.eye(8) - mean)
-    by_pose = spread @ jacobians
-    return np.asarray(by_pose @ covariances @ by_pose.transpose(0, 2, 1))
+    maps = spread @ _corners_by_pose(homographies)
+    return np.asarray(maps @ by_pose @ maps.transpose(0, 2, 1))
 
 
 def _corners_by_pose(homographies: LocalHomographies) -> Array:

@@ -17,11 +17,13 @@ from skyherd.vision.native.records import APPEARANCE, HOMOGRAPHY, UNKNOWNS, Visi
 from skyherd.vision.photometric.fitting import common_unknowns
 from skyherd.vision.photometric.fitting.appearance import appearances_of
 from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
+from skyherd.vision.photometric.fitting.design_matrix import CONTRAST, POSE
 from skyherd.vision.photometric.fitting.fit import fit_markers, fit_request
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.occlusion import fit_visible, visible_constants
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.fitting.streak_evidence import streak_evidence
+from skyherd.vision.photometric.outlines import MAX_STEPS as OUTLINE_STEPS
 
 DICTIONARY = "4X4_50"
 SCENES = {
@@ -94,6 +96,31 @@ def test_compiled_fit_equals_that_of_numpy(scene, start, how):
     assert_same_plane(found_plane, expected_plane)
 
 
+@pytest.mark.parametrize("start", STARTS)
+@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("settled_px", [1e-3, 1e9])
+def test_free_fit_equals_that_of_numpy(scene, start, settled_px):
+    """The second limit ends the fit after one step, so that the limit's place is compared, too."""
+    frame = frame_of(scene)
+    places = start_of(frame, start, 5)
+    given = frame.image, places, appearances_of(DICTIONARY, frame.ids, places.blurs(0.7), OWN_PLANES, 5.0)
+    fits, covariances = library().fit_freely(fit_request(*given, 5.0, OUTLINE_STEPS), settled_px)
+    expected, solution, peaks, ratios, boxes = fit_reference.fit_freely(*given, OUTLINE_STEPS, settled_px)
+    for name in HOMOGRAPHY.names:
+        found = fits["homography"][name]
+        np.testing.assert_allclose(found, getattr(expected, name), rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(fits["peaks"], peaks, rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(fits["noise_stds"], solution.noise_stds(), rtol=1e-6)
+    np.testing.assert_allclose(fits["contrasts"], solution.values[:, CONTRAST], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(fits["variance_ratios"], ratios, rtol=1e-4)
+    np.testing.assert_array_equal(fits["boxes"], boxes)
+    scale = (solution.noise_stds() / solution.contrasts()) ** 2
+    by_pose = scale[:, None, None] * solution.inverse_normals[:, POSE][:, :, POSE]
+    deviations = np.sqrt(np.diagonal(by_pose, axis1=1, axis2=2))
+    off = np.abs(covariances - by_pose) / (deviations[:, :, None] * deviations[:, None])
+    assert off.max() < 1e-4
+
+
 def test_scenes_reach_each_hypothesis(monkeypatch):
     """The tone curve, light and plane are free where the scene has them, so that these are compared."""
 
@@ -138,7 +165,8 @@ def test_builds_fit_markers_with_equal_bytes():
         plane = Plane().record()
         fits, means = one.fit_markers(request_of(), plane)
         evidence = one.streak_evidence(request_of(streak_px2=0.3j))
-        results.add(b"".join(array.tobytes() for array in (fits, means, plane, *evidence)))
+        free = one.fit_freely(request_of(), 1e-3)
+        results.add(b"".join(array.tobytes() for array in (fits, means, plane, *evidence, *free)))
     assert len(results) == 1
 
 
@@ -161,6 +189,8 @@ def test_invalid_requests_are_rejected(changes):
         library().fit_markers(request_of(**changes), Plane().record())
     with pytest.raises(InputError):
         library().streak_evidence(request_of(streak_px2=0.3j, **changes))
+    with pytest.raises(InputError):
+        library().fit_freely(request_of(**changes), 1e-3)
 
 
 def test_other_invalid_arguments_are_rejected():
@@ -168,6 +198,9 @@ def test_other_invalid_arguments_are_rejected():
         library().fit_markers(request_of(), np.zeros(2))
     with pytest.raises(InputError, match="size"):
         library().streak_evidence(request_of())  # without a streak
+    for settled_px in (0.0, -1.0, np.nan):
+        with pytest.raises(InputError, match="size"):
+            library().fit_freely(request_of(), settled_px)
 
 
 def visible_scene(scene, cover):

@@ -47,10 +47,3 @@ def standardised(rows: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating
     """
     centred = rows - rows.mean(axis=1, keepdims=True)
     return np.asarray(centred / np.maximum(centred.std(axis=1, keepdims=True), MIN_DEVIATION))
-
-
-def correlations(
-    patterns: npt.NDArray[np.floating[Any]], readings: npt.NDArray[np.floating[Any]]
-) -> npt.NDArray[np.floating[Any]]:
-    """Return the correlations (N, M) of N rows of samples (N, K) with M patterns (M, K)."""
-    return np.asarray(standardised(readings) @ standardised(patterns).T / readings.shape[1])

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from skyherd.geometry import Array, ComplexArray
+from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import (
     CONVERGED,
     EXCESS,
@@ -19,8 +20,26 @@ from skyherd.vision.photometric.fitting.plane import (
 )
 
 
+def perspectives_at(plane: Plane, points: ComplexArray) -> ComplexArray:
+    """Return the perspectives h (N,), 1/px, of markers at image points (N,): `λ / (1 - λ·p)`."""
+    return np.asarray(plane.perspective / (1 - (np.conj(plane.perspective) * points).real))
+
+
+def on_plane(homographies: LocalHomographies, plane: Plane, middle: complex) -> LocalHomographies:
+    """Return homographies with the perspectives of a plane, if it is shared."""
+    if not plane.shared:
+        return homographies
+    return replace(homographies, perspectives=perspectives_at(plane, homographies.centers - middle))
+
+
+def variances_at(plane: Plane, points: ComplexArray) -> Array:
+    """Return the variances (N,) of each component of the anisotropies at image points (N,)."""
+    design = anisotropy_design_matrix(points)
+    return np.asarray(((design @ plane.covariance) * design.conj()).sum(axis=1).real)
+
+
 def fit_plane_to_all(points: ComplexArray, anisotropies: ComplexArray, variances: Array) -> Plane:
-    """Return what `fit_plane` in `skyherd.vision.photometric.fitting.plane` does if it asks for all."""
+    """Return the plane of `fit_plane` in `plane_fit.c` if all markers must lie on it."""
     if not np.isfinite(variances).any():
         return Plane()
     best, least = Plane(), _chi_squared(Plane(), points, anisotropies, variances)
@@ -39,7 +58,7 @@ def fit_plane_to_all(points: ComplexArray, anisotropies: ComplexArray, variances
 
 
 def fit_plane(points: ComplexArray, anisotropies: ComplexArray, variances: Array) -> Plane:
-    """Return what the function of this name in `skyherd.vision.photometric.fitting.plane` does."""
+    """Return the plane of `fit_plane` in `plane_fit.c` if most markers are enough."""
     kept = np.flatnonzero(np.isfinite(variances))
     least = max(math.ceil(MIN_SHARE_ON_PLANE * kept.size), MIN_MARKERS_ON_PLANE)
     first = plane = fit_plane_to_all(points, anisotropies, variances)

@@ -117,18 +117,23 @@ def find_quads(
         mosaic = crowded_places(small, known, min_darkness)
         if mosaic is None:
             continue
-        regions = dark_regions(mosaic)
-        if shrink == 1:
-            found.append(_quads_of(dark_boundaries(regions, MIN_POINTS), GROWTH_PX))
-        apart = _quads_of(dark_boundaries(regions.eroded(), MIN_POINTS), GROWTH_PX + ERODED_PX)
-        found.append(shrink * apart + middle)
+        found.append(shrink * quads_of_places(mosaic, whole=shrink == 1) + middle)
     return np.concatenate(found) if found else np.zeros((0, 4, 2))
+
+
+def quads_of_places(mosaic: Mosaic, *, whole: bool = True) -> Array:
+    """Return the quadrilaterals of a mosaic after one erosion, and those before it if `whole`."""
+    regions = dark_regions(mosaic)
+    apart = _quads_of(dark_boundaries(regions.eroded(), MIN_POINTS), GROWTH_PX + ERODED_PX)
+    if not whole:
+        return apart
+    return np.concatenate([_quads_of(dark_boundaries(regions, MIN_POINTS), GROWTH_PX), apart])
 
 
 def small_quads(mosaic: Mosaic) -> Array:
     """Return the quadrilaterals of `skyherd.vision.search.quads.small_quads`."""
     regions, found = dark_regions(mosaic.enlarged()), []
-    min_area_px2 = (ENLARGEMENT * MIN_QUAD_SIDE_PX) ** 2 / 2
+    min_area_px2 = ENLARGEMENT**2 * MIN_AREA_PX2
     for erosions in range(MAX_EROSIONS + 1):
         boundaries = dark_boundaries(regions, ENLARGEMENT * MIN_POINTS // 2)
         found.append(_quads_of(boundaries, GROWTH_PX + erosions * ERODED_PX, min_area_px2=min_area_px2))

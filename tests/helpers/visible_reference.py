@@ -4,32 +4,29 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from tests.helpers.fit_reference import hold_on_plane, on_own_planes
-
-from skyherd.geometry import UNIFORM_VARIANCE
-from skyherd.markers.dictionary import border_cells, cells_per_side
-from skyherd.vision.native.library import library
-from skyherd.vision.native.records import UNKNOWNS
-from skyherd.vision.photometric.fitting import occlusion
-from skyherd.vision.photometric.fitting.appearance import appearances_of
-from skyherd.vision.photometric.fitting.common_unknowns import (
-    KEYSTONE_STD,
+from tests.helpers.design_matrix_reference import MIDDLE_GREY, DesignMatrices
+from tests.helpers.fit_reference import (
     NO_PERSPECTIVE,
+    fit_results_of,
+    hold_on_plane,
+    on_own_planes,
+    stepped,
     steps_to,
     with_common_tone,
     with_keystones,
 )
-from skyherd.vision.photometric.fitting.design_matrix import (
-    ANISOTROPY,
-    BLACK,
-    CONTRAST,
-    MIDDLE_GREY,
-    POSE,
-    DesignMatrices,
-)
-from skyherd.vision.photometric.fitting.fit import image_middle, stepped
-from skyherd.vision.photometric.fitting.fit_result import fit_results_of
-from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
+from tests.helpers.fit_stages import stages
+from tests.helpers.least_squares_reference import LeastSquaresSolution
+from tests.helpers.plane_reference import on_plane, perspectives_at, variances_at
+
+from skyherd.geometry import UNIFORM_VARIANCE
+from skyherd.markers.dictionary import border_cells, cells_per_side
+from skyherd.vision.native.records import UNKNOWNS
+from skyherd.vision.photometric.fitting import occlusion
+from skyherd.vision.photometric.fitting.appearance import appearances_of
+from skyherd.vision.photometric.fitting.common_unknowns import KEYSTONE_STD
+from skyherd.vision.photometric.fitting.design_matrix import ANISOTROPY, BLACK, CONTRAST, POSE
+from skyherd.vision.photometric.fitting.fit import image_middle
 
 
 def fit_visible(image, dictionary, fits, sigma_px, plane, noise, *, settled=False):
@@ -38,7 +35,7 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise, *, settled=Fals
     blurs = fits.homographies.blurs(sigma_px)
     appearances = appearances_of(dictionary, fits.ids, blurs, plane, noise)
     appearances = replace(appearances, black_ratios=fits.blacks / fits.contrasts)
-    rows, homographies = np.arange(fits.ids.size), _on_plane(fits.homographies, plane, middle)
+    rows, homographies = np.arange(fits.ids.size), on_plane(fits.homographies, plane, middle)
     values = np.zeros((rows.size, UNKNOWNS))
     values[:, BLACK], values[:, CONTRAST] = fits.blacks - MIDDLE_GREY, fits.contrasts
     everyone = np.ones(rows.size, dtype=bool)
@@ -62,7 +59,7 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise, *, settled=Fals
             solution = _held(solution, homographies, middle, plane)
         values = solution.values.copy()
         homographies, moved_px = stepped(solution, homographies)
-        homographies = _on_plane(homographies, plane, middle)
+        homographies = on_plane(homographies, plane, middle)
         last_limits = occlusion.INLIER_SIGMAS * np.minimum(noise, solution.noise_stds()) + edges
         limits = np.maximum(occlusion.LIMIT_FACTOR * limits, last_limits)
         shares = _visible_shares(pixels, n_cells)
@@ -74,7 +71,7 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise, *, settled=Fals
     has_bit[border:-border, border:-border] = 1.0
     hidden = has_bit * solution.contrasts()[:, None, None]
     means = np.where(support < occlusion.MIN_VISIBLE_SHARE, hidden, means)
-    variances = plane.variances(homographies.centers - middle) if plane.shared else np.zeros(rows.size)
+    variances = variances_at(plane, homographies.centers - middle) if plane.shared else np.zeros(rows.size)
     fitted = fit_results_of(fits.ids, solution, homographies, (means, peaks), moved_px, blurs, variances)
     return fitted, plane
 
@@ -104,15 +101,8 @@ def _used(pixels, values, limits, margins_px):
 def _visible_shares(pixels, n_cells):
     """Return the share (N, n, n) of each cell's pixels that is used; 0 for a cell off the image."""
     nothing = np.zeros((pixels.rows.size, UNKNOWNS), dtype=np.float32)
-    _, used, read, _ = library().cell_sums(pixels._data, nothing, n_cells)
+    _, used, read, _ = stages().cell_sums(pixels._data, nothing, n_cells)
     return used / np.maximum(read, 1)
-
-
-def _on_plane(homographies, plane, middle):
-    """Return homographies with the perspectives of a plane, if it is shared."""
-    if not plane.shared:
-        return homographies
-    return replace(homographies, perspectives=plane.perspectives(homographies.centers - middle))
 
 
 def _held(solution, start, middle, plane):
@@ -120,5 +110,5 @@ def _held(solution, start, middle, plane):
     if not plane.shared:
         return on_own_planes(solution, start, NO_PERSPECTIVE, KEYSTONE_STD)
     points = start.centers - middle
-    solution = with_keystones(solution, start, plane.perspectives(points))
+    solution = with_keystones(solution, start, perspectives_at(plane, points))
     return solution.constrained(ANISOTROPY, steps_to(plane.anisotropies(points), solution, start))

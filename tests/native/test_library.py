@@ -145,9 +145,11 @@ def fuzz_patterns(library, rng, requests=60):
 
 def fuzz_fit(library, rng, images=150):
     """Read and draw markers of any size, shape and blur in random images; return the number of pixels."""
-    from skyherd.vision.native.records import BLOCK_PX, MARKER, UNKNOWNS
+    from fit_stages import BLOCK_PX, MARKER, declared_stages
 
-    pixels = 0
+    from skyherd.vision.native.records import UNKNOWNS
+
+    stages, pixels = declared_stages(library.functions), 0
     for _ in range(images):
         height, width = (int(side) for side in rng.integers(1, 60, 2))
         count, n = int(rng.integers(0, 4)), int(rng.integers(1, 21))
@@ -159,16 +161,16 @@ def fuzz_fit(library, rng, images=150):
         markers["height_px"] *= 20
         image = rng.integers(0, 256, (height, width), dtype=np.uint8)
         cells = (rng.random((count, n + 2, n + 2)) < 0.5).astype(np.float32)
-        blocks = library.list_pixels(markers, image.shape)
+        blocks = stages.list_pixels(markers, image.shape)
         bends = np.zeros((len(blocks.columns), 3, BLOCK_PX), dtype=np.float32)
-        library.fill_elliptic(image, markers, rng.normal(size=(count, 6)), cells, 6.0, blocks, bends)
-        library.fill_round(image, markers, cells, 6.0, blocks)
+        stages.fill_elliptic(image, markers, rng.normal(size=(count, 6)), cells, 6.0, blocks, bends)
+        stages.fill_round(image, markers, cells, 6.0, blocks)
         solutions = rng.normal(size=(count, UNKNOWNS)).astype(np.float32)
-        library.gram_matrices(blocks)
-        library.residuals(blocks, solutions)
-        library.cell_sums(blocks, solutions, n)
+        stages.gram_matrices(blocks)
+        stages.residuals(blocks, solutions)
+        stages.cell_sums(blocks, solutions, n)
         picked = np.arange(count)[rng.random(count) < 0.5]
-        library.squared_box_sums(blocks, solutions, np.repeat(solutions[:, None], 3, axis=1), picked, 2)
+        stages.squared_box_sums(blocks, solutions, np.repeat(solutions[:, None], 3, axis=1), picked, 2)
         pixels += int(blocks.counts.sum()) + fuzz_marker_fit(library, rng, image, cells, count)
     return pixels
 

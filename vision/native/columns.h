@@ -130,7 +130,7 @@ INLINE void write_columns(const Shown *shown, const Part *part, float ratio, flo
     columns[KEYSTONE_X] = -grow * x;
     columns[KEYSTONE_Y] = -grow * y;
     columns[TONE] = contrast * (1.0f - shown->white);
-    columns[PIXEL] = (part->grey - 128.0f) * weight;
+    columns[PIXEL] = (part->grey - (float)MIDDLE_GREY) * weight;
     for (int c = 0; c < COLUMNS; c++)
         store(choose(part->within, columns[c], (Floats){0}), written + part->columns + c * BLOCK_PX);
 }

@@ -68,7 +68,7 @@ static void find_inliers(Tests *tests, const Solutions *solutions, const uint8_t
     int any = 0;
     for (int64_t k = 0; k < count; k++) {
         const double contrast = contrast_of(solutions, k, tests->constants);
-        const double white = solutions->values[k * UNKNOWNS + BLACK] + 128.0 + contrast;
+        const double white = solutions->values[k * UNKNOWNS + BLACK] + MIDDLE_GREY + contrast;
         tests->numbers[k] = contrast / fmax(white, 1.0);
         tests->weights[k] = right[k] * solutions->pixels[k] * contrast * contrast / noise_variance(solutions, k);
         any |= right[k];

@@ -24,7 +24,7 @@
 #include "complex_numbers.h"
 #include "floats.h"
 
-/* Columns of the model, and the pixels' own values; design_matrix.py has the same names. */
+/* Columns of the model, and the pixels' own values; design_matrix.py has the same names, and the formulas. */
 enum {
     BLACK, CONTRAST, RIGHT, DOWN, TURN, GROW, BLUR, GROUND, ANISOTROPY_X, ANISOTROPY_Y, LIGHT_X, LIGHT_Y,
     KEYSTONE_X, KEYSTONE_Y, TONE, PIXEL, COLUMNS, UNKNOWNS = PIXEL
@@ -32,10 +32,14 @@ enum {
 
 enum { MAX_CELLS = 20, BLOCK_PX = 16 };
 
+/* Grey level that is subtracted from the pixels, so that sums of their squares keep their digits in single precision.
+ * Chosen: the middle of the 8-bit range. */
+enum { MIDDLE_GREY = 128 };
+
 /* Negative results of the functions. */
 enum { FIT_INVALID_SIZE = -4, FIT_NO_MEMORY = -5 };
 
-/* Geometry and appearance of a marker; vision/native/library.py has the same fields. */
+/* Geometry and appearance of a marker, as its pixels are listed and drawn. */
 typedef struct {
     Complex center;                 /* px */
     Complex x_axis, y_axis;         /* axes X and Y of the homography, sides per px */
@@ -95,9 +99,9 @@ typedef struct {
 
 /* Constants of the fit; the Python modules that have them say why. */
 typedef struct {
-    double ground_ridge, ridge, single_precision, min_squares, min_contrast;            /* least_squares.py */
+    double ground_ridge, ridge, single_precision, min_squares, min_contrast;            /* fit.py */
     double max_growth, min_sigma, max_sigma;                                            /* design_matrix.py */
-    double steep_anisotropy, min_variance_px2;                                          /* blur_ellipses.py */
+    double steep_anisotropy, min_variance_px2;                                          /* design_matrix.py */
     double min_print_share, free_sigmas, max_tone, keystone_std, near_plane;            /* common_unknowns.py */
     double max_step, min_step, settled_px, settled_perspective_px, off_cell;            /* fit.py */
     double max_log_blur, kept_share;                                                    /* fit_result.py, correlated_noise.py */
@@ -113,7 +117,7 @@ typedef struct {
     const float *cells;             /* (count, n + 2, n + 2), as in `Scene` */
     const FitConstants *constants;
     int64_t height, width, count;
-    Complex streak_px2;             /* Q of the blur, px² (fitting/blur_ellipses.py) */
+    Complex streak_px2;             /* Q of the blur, px² (fitting/design_matrix.py) */
     double texture, noise;          /* ground's texture over the noise; noise in grey levels */
     int32_t n;                      /* cells along a side */
     int32_t max_steps, alone, has_streak;
@@ -143,7 +147,7 @@ typedef struct {
     double ratios[2], boxes;        /* fitting/correlated_noise.py */
 } Fit;
 
-/* Least-squares solutions of markers (fitting/least_squares.py). */
+/* Least-squares solutions of markers (fitting/fit.py). */
 typedef struct {
     double *values;                 /* (count, 15) */
     double *inverse_normals;        /* (count, 15, 15) */

@@ -1,4 +1,4 @@
-/* Least squares of markers from the products of their columns (fitting/least_squares.py).
+/* Least squares of markers from the products of their columns (fitting/fit.py).
  *
  * With the inverse normal matrix C, unknowns h and the variances P about their values v, a solution x is drawn by
  * -C_xh B (x_h - v), with B = (C_hh + P)⁻¹. C becomes C - C_xh B C_hx, and the sum of squares grows by

@@ -92,7 +92,7 @@ static int64_t take_step(const FitRequest *given, Steps *steps, const Plane *pla
     for (int64_t k = 0; k < given->count; k++) {
         const Homography *at = steps->start + k;
         const double contrast = contrast_of(&steps->held, k, given->constants), side = side_px(given->start + k);
-        steps->appearances[k].black_ratio = (steps->held.values[k * UNKNOWNS + BLACK] + 128.0) / contrast;
+        steps->appearances[k].black_ratio = (steps->held.values[k * UNKNOWNS + BLACK] + MIDDLE_GREY) / contrast;
         step_marker(given, steps, k);
         if (plane->shared) put_on_plane(plane, steps, k);
         const double bent_px = magnitude(minus(steps->here[k].perspective, at->perspective)) * side * side / 2;
@@ -128,7 +128,10 @@ static int32_t take_steps(const FitRequest *given, Steps *steps, Plane *plane) {
     return 0;
 }
 
-/* Compute how (u, v, heading) change with each unknown, P (3, 15), and with each column's product, P C (3, 15). */
+/* Compute how (u, v, heading) change with each unknown, P (3, 15), and with each column's product, P C (3, 15).
+ *
+ * A step moves the centre by m d + k d̄ and turns forward by Re((m + k) / (m - k)) (θ - e_shear); steps are unknowns over
+ * contrast. */
 static void pose_influences(const FitRequest *given, const Steps *steps, int64_t k, double maps[POSE][UNKNOWNS],
                             double influences[POSE][UNKNOWNS]) {
     const Homography *at = steps->here + k;
@@ -180,7 +183,7 @@ static int32_t write_fit(const FitRequest *given, const Steps *steps, const Plan
     double maps[POSE][UNKNOWNS], influences[POSE][UNKNOWNS], variances[POSE];
     *fit = (Fit){
         .homography = steps->here[k],
-        .black = values[BLACK] + 128.0,
+        .black = values[BLACK] + MIDDLE_GREY,
         .contrast = values[CONTRAST],
         .noise_std = sqrt(noise),
         .log_blur = log_blur,

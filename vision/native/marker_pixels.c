@@ -38,7 +38,7 @@ static int is_elliptic(const FitRequest *given, const Homography *at, int round_
 }
 
 /* Compute the variances along x and y and the covariance, in sides squared, that a streak Q, px², adds to a blur
- * (fitting/blur_ellipses.py). */
+ * (fitting/design_matrix.py). */
 void streak_moments(const Homography *at, Complex streak, double table[3]) {
     const Complex m = conjugate(at->similarity), k = at->anisotropy;
     const Complex along = plus(times(times(m, m), streak), times(times(k, k), conjugate(streak)));

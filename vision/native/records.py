@@ -2,53 +2,18 @@
 
 import ctypes
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, BoolArray, Image, IntArray
+from skyherd.geometry import Array, Image
 from skyherd.native.arguments import address, check_plane
 
-UNKNOWNS, COLUMNS = 15, 16
-"""Unknowns of a marker, and columns of its pixels: those of the model, and the pixels' own values."""
-
-BLOCK_PX = 16
-"""Pixels of a block, as in `fit.h`."""
+UNKNOWNS = 15
+"""Unknowns of a marker."""
 
 MAX_SECOND_DIFFERENCE = 4 * 255
 """Largest second difference of grey levels. Derived."""
-
-MARKER = np.dtype(
-    [
-        ("center", complex),
-        ("x_axis", complex),
-        ("y_axis", complex),
-        ("perspective", complex),
-        ("keystone", complex),
-        ("anisotropy", complex),
-        ("limit", float),
-        ("strip", float),
-        ("height_px", float),
-        ("sigma", float),
-        ("black_ratio", float),
-        ("half_card", float),
-        ("x_stretch", float),
-        ("y_stretch", float),
-    ]
-)
-"""Record of a marker, as `Marker` in `fit.h`; lengths are in marker sides unless a unit is given.
-
-- `center`, px, and the axes X and Y and the `perspective`, 1/px, of `LocalHomographies.axes`;
-- `keystone`, by how much the marker's image shrinks towards its points, and `anisotropy`, by how much round
-  blur differs along its directions (`LocalHomographies.blur_anisotropies`); both are 0 where blur is drawn as
-  if the marker were seen from straight above;
-- `limit`, up to which marker coordinates pixels are read; `strip`, the same for the affine part of the
-  homography, wide enough for the perspective; `height_px`, half the height of the strips' common part;
-- `sigma`, the blur's standard deviation, and its standard deviations along x and y over `sigma`;
-- `black_ratio`, black level over contrast;
-- `half_card`, the distance of the card's edge from the centre, infinite where no ground is seen.
-"""
 
 Floats = npt.NDArray[np.float32]
 
@@ -106,97 +71,6 @@ class EdgeParameters(ctypes.Structure):
         ("steps", ctypes.c_int32),
         ("rounds", ctypes.c_int32),
         ("reweightings", ctypes.c_int32),
-    )
-
-
-class Blocks(ctypes.Structure):
-    """Pixels of markers; `MarkerBlocks` in `fit.h` has the same fields."""
-
-    _fields_ = (
-        ("bounds", ctypes.c_void_p),
-        ("counts", ctypes.c_void_p),
-        ("places", ctypes.c_void_p),
-        ("pixels", ctypes.c_void_p),
-        ("columns", ctypes.c_void_p),
-        ("count", ctypes.c_int64),
-        ("blocks", ctypes.c_int64),
-    )
-
-
-class Scene(ctypes.Structure):
-    """Image and markers; `Scene` in `fit.h` has the same fields."""
-
-    _fields_ = (
-        ("image", ctypes.c_void_p),
-        ("markers", ctypes.c_void_p),
-        ("cells", ctypes.c_void_p),
-        ("height", ctypes.c_int64),
-        ("width", ctypes.c_int64),
-        ("n", ctypes.c_int32),
-        ("texture_square", ctypes.c_float),
-    )
-
-
-@dataclass(frozen=True)
-class MarkerBlocks:
-    """The pixels of N markers, and the model's columns at them, in B blocks of `BLOCK_PX` pixels.
-
-    A marker's last block repeats its last pixel, with columns of 0.
-
-    Attributes:
-        bounds: (N + 1,) marker k has the blocks from `bounds[k]` to `bounds[k + 1]`.
-        counts: (N,) pixels of each marker.
-        places: (B, 2, BLOCK_PX) marker coordinates x and y, in sides.
-        pixels: (B, 2, BLOCK_PX) lines v and columns u in the image.
-        columns: (B, 16, BLOCK_PX) the model's columns and the pixels less 128, times the pixels' weights.
-    """
-
-    bounds: IntArray
-    counts: IntArray
-    places: Floats
-    pixels: npt.NDArray[np.int32]
-    columns: Floats
-
-    def is_pixel(self) -> BoolArray:
-        """Return which places (B, BLOCK_PX) of the blocks have a pixel of their own."""
-        blocks = np.diff(self.bounds)
-        before = BLOCK_PX * (np.arange(len(self.columns)) - np.repeat(self.bounds[:-1], blocks))
-        return before[:, None] + np.arange(BLOCK_PX) < np.repeat(self.counts, blocks)[:, None]
-
-    def by_pixels(self, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return values (B, K, BLOCK_PX) of blocks as values (P, K) of all pixels, one after the other."""
-        return np.ascontiguousarray(np.moveaxis(values, 1, 2)[self.is_pixel()])
-
-    def structure(self, first: int = 0, end: int | None = None) -> Blocks:
-        """Return the structure of the markers from `first` to `end`, which is valid as long as the arrays.
-
-        Raises:
-            InputError: an array has another type, shape or memory layout.
-        """
-        blocks = len(self.columns)
-        return Blocks(
-            address("bounds", self.bounds, np.int64, (self.bounds.size,)) + 8 * first,
-            address("counts", self.counts, np.int64, (self.bounds.size - 1,)) + 8 * first,
-            address("places", self.places, np.float32, (blocks, 2, BLOCK_PX)),
-            address("pixels", self.pixels, np.int32, (blocks, 2, BLOCK_PX)),
-            address("columns", self.columns, np.float32, (blocks, COLUMNS, BLOCK_PX)),
-            (self.bounds.size - 1 if end is None else end) - first,
-            blocks,
-        )
-
-
-def scene_structure(
-    image: Image, markers: npt.NDArray[np.void], cells: Floats, texture: float, first: int
-) -> Scene:
-    """Return the structure of an image and of the markers from `first` on, which the arrays keep valid."""
-    sides = cells.shape[1]
-    return Scene(
-        address("image", image, np.uint8, image.shape),
-        address("markers", markers, MARKER, (markers.size,)) + MARKER.itemsize * first,
-        address("cells", cells, np.float32, (markers.size, sides, sides)) + 4 * sides**2 * first,
-        *image.shape,
-        sides - 2,
-        texture * texture,
     )
 
 

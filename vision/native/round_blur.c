@@ -86,7 +86,7 @@ INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerB
     }
 }
 
-/* Fill in the weighted columns of the model, and the pixels less 128. Returns 0 or an error. */
+/* Fill in the weighted columns of the model, and the pixels less MIDDLE_GREY. Returns 0 or an error. */
 int32_t fill_round(const Scene *scene, const MarkerBlocks *given) {
     if (!are_valid(scene, given)) return FIT_INVALID_SIZE;
     for (int64_t k = 0; k < given->count; k++) {

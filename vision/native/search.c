@@ -88,19 +88,6 @@ static int prepare(const uint8_t *image, const uint8_t *places, int32_t width, i
     return threshold(image, places, width, height, parameters, work);
 }
 
-/* Write the dark pixels (height, width) of an image as 255, and return 0 or an error. */
-int32_t search_mask(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
-                    const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes, uint8_t *dark) {
-    Workspace work;
-    const int failed = prepare(image, places, width, height, parameters, workspace, workspace_bytes, &work);
-    for (int32_t y = 0; !failed && y < height; y++) {
-        const uint8_t *row = mask_row(&work.dark, y);
-        for (int32_t x = 0; x < width; x++)
-            dark[(ptrdiff_t)y * width + x] = row[x / BITS_PER_BYTE] >> x % BITS_PER_BYTE & 1 ? DARK : 0;
-    }
-    return failed;
-}
-
 /* Append the quadrilaterals of a mask. Return their new number, or an error. */
 static int32_t append_quads(const Mask *mask, double growth_px, const SearchParameters *parameters, Workspace *work,
                             double *corners, int32_t *first_columns, int32_t found, int32_t max_quads) {

@@ -105,8 +105,6 @@ int fit_quad(Boundary boundary, double area, double growth_px, const SearchParam
 
 /* The library's functions, called from Python. */
 size_t search_workspace_bytes(int32_t width, int32_t height);
-int32_t search_mask(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
-                    const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes, uint8_t *dark);
 int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
                      const SearchParameters *parameters, uint8_t *workspace, size_t workspace_bytes,
                      double *corners, int32_t *first_columns, int32_t max_quads);

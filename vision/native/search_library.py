@@ -73,22 +73,6 @@ class SearchFunctions:
 
     functions: ctypes.CDLL
 
-    def dark_mask(self, image: Image, places: Image, parameters: SearchParameters) -> Image:
-        """Return the dark pixels of an image within its places as 255.
-
-        Args:
-            image: grey, (height, width), even sides.
-            places: (height / 2, width / 2), 255 where the image is searched.
-            parameters: of the search.
-
-        Raises:
-            InputError: an argument has another type, shape or memory layout, or an invalid parameter.
-        """
-        arguments = self._search_arguments(image, places, parameters)
-        dark = np.empty(image.shape, dtype=np.uint8)
-        check(self.functions.search_mask(*arguments, dark.ctypes.data), ERRORS)
-        return dark
-
     def quads(self, image: Image, places: Image, parameters: SearchParameters) -> tuple[Array, IntArray]:
         """Return the dark quadrilaterals of an image within its places.
 
@@ -232,7 +216,7 @@ class SearchFunctions:
     def _search_arguments(
         self, image: Image, places: Image, parameters: SearchParameters
     ) -> tuple[object, ...]:
-        """Return the arguments that both functions of the search begin with."""
+        """Return the arguments that the search begins with."""
         check_plane("image", image, None)
         (height, width), memory = image.shape, self._search_memory(image)
         check_plane("places", places, (height // 2, width // 2))
@@ -253,7 +237,6 @@ def search_signatures() -> dict[str, Signature]:
     boundaries = (pointer, *(integer,) * 4, pointer, size, pointer, long, pointer, integer)
     return {
         "search_workspace_bytes": (size, integer, integer),
-        "search_mask": (integer, *search, pointer),
         "search_quads": (integer, *search, pointer, pointer, integer),
         "search_boundaries": (integer, *boundaries),
         "stretch": (integer, pointer, *(integer,) * 2, *(pointer,) * 3, *(integer,) * 2, *(pointer,) * 2),

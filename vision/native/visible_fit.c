@@ -238,7 +238,7 @@ int32_t fit_visible(const VisibleRequest *given, Plane *plane, Fit *fits, double
     for (int64_t k = 0; k < count && !result; k++) {
         double *values = steps->held.values + k * UNKNOWNS;
         memset(values, 0, UNKNOWNS * sizeof *values);
-        values[BLACK] = given->blacks[k] - 128.0;
+        values[BLACK] = given->blacks[k] - MIDDLE_GREY;
         values[CONTRAST] = given->contrasts[k];
         visible.limits[k] = given->settled ? last_limit(given, k, markers->noise) : given->contrasts[k] / 2;
         steps->right[k] = 0;

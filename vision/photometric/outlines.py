@@ -27,9 +27,8 @@ from skyherd.vision.photometric.fitting.design_matrix import (
     RIGHT,
     TURN,
 )
-from skyherd.vision.photometric.fitting.fit import fit_request, has_outlier_pixels
+from skyherd.vision.photometric.fitting.fit import MIN_CONTRAST, fit_request, has_outlier_pixels
 from skyherd.vision.photometric.fitting.fit_result import FitResults
-from skyherd.vision.photometric.fitting.least_squares import MIN_CONTRAST
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.refine import (

@@ -153,7 +153,7 @@ def search_parameters(erosions: range, enlargement: int = 1) -> SearchParameters
     return SearchParameters(
         growth_px=GROWTH_PX,
         eroded_px=ERODED_PX,
-        min_area_px2=(enlargement * MIN_QUAD_SIDE_PX) ** 2 / 2,
+        min_area_px2=enlargement**2 * MIN_AREA_PX2,
         min_compactness=MIN_COMPACTNESS,
         rounded_share=ROUNDED_SHARE,
         side_end_weight=SIDE_END_WEIGHT,

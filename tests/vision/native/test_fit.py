@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.helpers.fit_stages import BLOCK_PX, COLUMNS, MARKER, declared_stages, stages
 
 from skyherd.errors import InputError
 from skyherd.native import build
 from skyherd.native.loading import load
-from skyherd.vision.native.library import declared, library
-from skyherd.vision.native.records import BLOCK_PX, COLUMNS, MARKER, UNKNOWNS
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import UNKNOWNS
 from skyherd.vision.photometric.fitting.plane import plane_limits
 
 N_CELLS = 6
@@ -82,7 +83,7 @@ def bytes_of(build_of_library):
 def test_builds_give_equal_bytes():
     folder, best = build.sources_folder("vision"), int(library().functions.processor_level())
     levels = [level for level in build.levels() if level <= best]
-    builds = [declared(load(folder / build.library_name("vision", level), folder)) for level in levels]
+    builds = [declared_stages(load(folder / build.library_name("vision", level), folder)) for level in levels]
     assert len({bytes_of(one) for one in builds}) == 1
 
 
@@ -92,8 +93,8 @@ def test_one_more_edge_on_either_side_changes_little(reach_cells):
     markers, columns = markers_of(), []
     for factor in (1 - 1e-7, 1 + 1e-7):
         markers["sigma"] = factor * reach_cells / (5 * N_CELLS)
-        blocks = library().list_pixels(markers, (120, 160))
-        library().fill_round(image_of(), markers, cells_of(), 6.0, blocks)
+        blocks = stages().list_pixels(markers, (120, 160))
+        stages().fill_round(image_of(), markers, cells_of(), 6.0, blocks)
         columns.append(blocks.columns)
     assert not np.array_equal(*columns)
     np.testing.assert_allclose(*columns, atol=5e-5, rtol=1e-5)
@@ -107,12 +108,12 @@ def test_squares_of_slopes_are_zero_or_normal_numbers(is_elliptic):
     markers["y_axis"] = 1j * markers["x_axis"]
     markers["height_px"], markers["sigma"], markers["half_card"] = 80, sigma, np.inf
     blurs = np.tile(BLURS[:1] * sigma**2 / BLURS[0, 0], (len(markers), 1))
-    blocks = library().list_pixels(markers, (120, 160))
+    blocks = stages().list_pixels(markers, (120, 160))
     bends = np.zeros((len(blocks.columns), 3, BLOCK_PX), dtype=np.float32)
     if is_elliptic:
-        library().fill_elliptic(image_of(), markers, blurs, cells_of(), 6.0, blocks, bends)
+        stages().fill_elliptic(image_of(), markers, blurs, cells_of(), 6.0, blocks, bends)
     else:
-        library().fill_round(image_of(), markers, cells_of(), 6.0, blocks)
+        stages().fill_round(image_of(), markers, cells_of(), 6.0, blocks)
     slopes = np.abs(blocks.columns[:, [RIGHT, DOWN, BLUR]]).astype(float)
     assert slopes[slopes > 0].min() ** 2 > np.finfo(np.float32).tiny
     assert (slopes == 0).mean() > 0.2 and (slopes > 0.1).any()
@@ -120,7 +121,7 @@ def test_squares_of_slopes_are_zero_or_normal_numbers(is_elliptic):
 
 def changed_blocks(name):
     """Return blocks of which one array is invalid."""
-    blocks = library().list_pixels(markers_of(), (120, 160))
+    blocks = stages().list_pixels(markers_of(), (120, 160))
     arrays = {
         "bounds of int32": {"bounds": blocks.bounds.astype(np.int32)},
         "bounds beyond the blocks": {"bounds": blocks.bounds + 1},
@@ -149,24 +150,24 @@ def changed_blocks(name):
 def test_invalid_blocks_are_rejected(name):
     blocks, bends = changed_blocks(name), np.zeros((10**5, 3, BLOCK_PX), np.float32)
     with pytest.raises(InputError):
-        library().fill_round(image_of(), markers_of(), cells_of(), 6.0, blocks)
+        stages().fill_round(image_of(), markers_of(), cells_of(), 6.0, blocks)
     with pytest.raises(InputError):
-        library().fill_elliptic(
+        stages().fill_elliptic(
             image_of(), markers_of(), BLURS, cells_of(), 6.0, blocks, bends[: len(blocks.columns)]
         )
     if "pixels" not in name:
         with pytest.raises(InputError):
-            library().gram_matrices(blocks)
+            stages().gram_matrices(blocks)
 
 
 @pytest.mark.parametrize("is_elliptic", [False, True])
 def test_last_blocks_repeat_their_last_pixel_without_weight(is_elliptic):
-    blocks = library().list_pixels(markers_of(), (120, 160))
+    blocks = stages().list_pixels(markers_of(), (120, 160))
     bends = np.ones((len(blocks.columns), 3, BLOCK_PX), dtype=np.float32)
     if is_elliptic:
-        library().fill_elliptic(image_of(), markers_of(), BLURS, cells_of(), 6.0, blocks, bends)
+        stages().fill_elliptic(image_of(), markers_of(), BLURS, cells_of(), 6.0, blocks, bends)
     else:
-        library().fill_round(image_of(), markers_of(), cells_of(), 6.0, blocks)
+        stages().fill_round(image_of(), markers_of(), cells_of(), 6.0, blocks)
     partial = np.flatnonzero(blocks.counts % BLOCK_PX)
     assert len(partial) >= 3 and blocks.is_pixel().sum() == blocks.counts.sum()
     for marker in partial:
@@ -179,21 +180,21 @@ def test_last_blocks_repeat_their_last_pixel_without_weight(is_elliptic):
 
 
 def test_invalid_sizes_are_rejected():
-    blocks = library().list_pixels(markers_of(), (120, 160))
-    library().fill_round(image_of(), markers_of(), cells_of(), 6.0, blocks)
+    blocks = stages().list_pixels(markers_of(), (120, 160))
+    stages().fill_round(image_of(), markers_of(), cells_of(), 6.0, blocks)
     model = np.zeros((len(SIGMAS), UNKNOWNS), dtype=np.float32)
     with pytest.raises(InputError):
-        library().fill_round(image_of(), markers_of(), np.zeros((5, 30, 30), np.float32), 6.0, blocks)
+        stages().fill_round(image_of(), markers_of(), np.zeros((5, 30, 30), np.float32), 6.0, blocks)
     with pytest.raises(InputError):
-        library().cell_sums(blocks, model, 21)
+        stages().cell_sums(blocks, model, 21)
     with pytest.raises(InputError):
-        library().residuals(blocks, model[:3])
+        stages().residuals(blocks, model[:3])
     for picked, box_px in (([5], 2), ([-1], 2), ([0], 0)):
         with pytest.raises(InputError):
-            library().squared_box_sums(blocks, model, model[:, None], np.array(picked), box_px)
+            stages().squared_box_sums(blocks, model, model[:, None], np.array(picked), box_px)
     with pytest.raises(InputError):
-        library().hold_unknowns(
+        stages().hold_unknowns(
             np.zeros((1, 15)), np.zeros((1, 15, 15)), np.zeros(1), (3, 15), np.zeros((1, 2)), np.zeros(1)
         )
     with pytest.raises(InputError):
-        library().list_pixels(np.zeros(3), (120, 160))
+        stages().list_pixels(np.zeros(3), (120, 160))

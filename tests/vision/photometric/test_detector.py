@@ -5,6 +5,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
+from tests.helpers.homography_reference import moved
 
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.dictionary import card_side, code_distance, pose_of_corners
@@ -152,7 +153,7 @@ def near(side_px, heading, center, seed=0):
 def test_a_perfect_fit_recovers_the_pose_from_two_pixels_away():
     center, heading = 50.3 + 48.8j, 0.7
     image, start = near(30.0, heading, center)
-    off = start.moved(*(np.array([z]) for z in (0.04 - 0.04j, 0.03 + 0.05j, 0.01 + 0j, 0j)))
+    off = moved(start, *(np.array([z]) for z in (0.04 - 0.04j, 0.03 + 0.05j, 0.01 + 0j, 0j)))
     fits, plane = fit_markers(image, DICTIONARY, np.array([9]), off, total_sigma_px(0.8), Plane())
     # Quantised to 8 bits, sigma 0.29 grey: the bound at noise 2 is 0.0018 px, here 0.0003 px; five times it.
     assert abs(fits.homographies.centers[0] - center) < 0.0015

@@ -5,7 +5,7 @@ decided here; its level is an unknown of the fit, and its texture counts as nois
 (`design_matrix`).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -14,8 +14,6 @@ import numpy.typing as npt
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
 from skyherd.vision.native.records import APPEARANCE
-from skyherd.vision.photometric.fitting.blur_ellipses import is_steep
-from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 
 OUTSIDE_SIGMAS = 2.5
@@ -54,7 +52,7 @@ class MarkerAppearances:
         texture: standard deviation of the ground's texture over that of the noise.
         round_in_image: whether the blur is drawn round in the image, and not in the marker's coordinates; the
             two are the same on a plane that is seen from straight above.
-        streak_px2: by how much the blur differs along the image's axes, the Q of `blur_ellipses`, px². Any
+        streak_px2: by how much the blur differs along the image's axes, the Q of `design_matrix`, px². Any
             number makes all blurs ellipses, zero too; None makes those that a steep tilt makes.
     """
 
@@ -68,12 +66,6 @@ class MarkerAppearances:
     round_in_image: bool
     streak_px2: complex | None = None
 
-    def elliptic(self, homographies: LocalHomographies) -> BoolArray:
-        """Return which of N markers, of these homographies, have their blur drawn as an ellipse."""
-        if self.streak_px2 is not None:
-            return np.ones(len(homographies), dtype=bool)
-        return is_steep(homographies) & self.round_in_image
-
     def records(self) -> npt.NDArray[np.void]:
         """Return the appearances as records (N,) of `APPEARANCE`."""
         records = np.empty(self.sigmas.size, dtype=APPEARANCE)
@@ -81,17 +73,6 @@ class MarkerAppearances:
         records["half_card"] = np.where(self.reaches_ground, self.half_card, np.inf)
         records["black_ratio"] = self.black_ratios
         return records
-
-    def take(self, rows: IntArray) -> "MarkerAppearances":
-        """Return the appearances of the markers at indices `rows` (K,)."""
-        return replace(
-            self,
-            cells=self.cells[rows],
-            sigmas=self.sigmas[rows],
-            read_limits=self.read_limits[rows],
-            reaches_ground=self.reaches_ground[rows],
-            black_ratios=self.black_ratios[rows],
-        )
 
 
 def appearances_of(

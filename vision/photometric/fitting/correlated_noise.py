@@ -50,18 +50,6 @@ MIN_RATIO, MAX_RATIO = 0.1, 100.0
 """Limits of the ratios. Chosen: beyond them the model is wrong rather than the noise correlated."""
 
 
-def box_ratios(small: Array, large: Array, variances: Array) -> Array:
-    """Return the ratios (N, 2), of positions and of headings, to the variances of independent noise.
-
-    Args:
-        small: (N, 3) sums, over boxes of `BOX_PX` pixels, of the squared sums s, for u, v and heading.
-        large: (N, 3) the same over boxes of twice as many pixels.
-        variances: (N, 3) of u, v and heading, if noise is independent.
-    """
-    ratios = (2 * large - small) / (KEPT_SHARE * variances)
-    return np.stack([ratios[:, :2].mean(axis=1), ratios[:, 2]], axis=1)
-
-
 @dataclass(frozen=True)
 class PooledRatios:
     """Ratios of variances, taken over the markers of an image and of those before it.
@@ -78,7 +66,7 @@ class PooledRatios:
         """Return the pooled ratios with those of one more image.
 
         Args:
-            ratios: (N, 2) of each marker; see `box_ratios`.
+            ratios: (N, 2) of each marker, to the variances that independent noise would give.
             boxes: (N,) number of large boxes; 0 for a marker whose residuals were not summed.
         """
         kept = 1 - FORGOTTEN

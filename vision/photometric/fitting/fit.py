@@ -1,12 +1,22 @@
 """Markers fitted to pixels, as well as the noise allows.
 
-Each step is a Gauss-Newton step in all of a marker's unknowns at once
-(`design_matrix`). Two hypotheses are tried on all markers of the image together,
-since they are then better tested than on one marker: that light does not change over the markers, and that
-the anisotropies are those of one plane (`plane`). Where they hold, the unknowns
-concerned are held, which leaves fewer to be estimated. The error after a step is of third order in the step,
-so that one step is enough from a good prediction. The covariance is `σ_n² (JᵀJ)⁻¹`, with the standard
-deviation of the noise σ_n from the residuals themselves.
+Each step is a Gauss-Newton step in all of a marker's unknowns at once (`design_matrix`). Two hypotheses are
+tried on all markers of the image together, since they are then better tested than on one marker
+(`common_unknowns`): that light does not change over the markers, and that the anisotropies are those of one
+plane (`plane`). Where they hold, the unknowns concerned are held, which leaves fewer to be estimated. The
+error after a step is of third order in the step, so that one step is enough from a good prediction. The
+compiled fit is `vision/native/marker_fit.c`, and its least squares `least_squares.c`. The covariance is
+`σ_n² (JᵀJ)⁻¹`, with the standard deviation of the noise σ_n from the residuals themselves.
+
+All columns of a marker's model, together with its pixels, make one matrix of inner products. The solution x
+with every unknown free also gives the solution in which some of them, h, are held at values x_h = v,
+
+    x' = x - C_xh C_hh⁻¹ (x_h - v),   C' = C - C_xh C_hh⁻¹ C_hx,
+
+with C the inverse normal matrix; the sum of squares grows by `(x_h - v)ᵀ C_hh⁻¹ (x_h - v)`. With `C_hh + P`
+in place of C_hh, the unknowns are not held, but expected at v with variances P. One Gram matrix a marker thus
+answers every question that is asked by holding unknowns (is the light even? do the anisotropies belong to one
+plane?) without looking at the pixels again.
 """
 
 import numpy as np
@@ -14,21 +24,33 @@ import numpy as np
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.grey import Image
 from skyherd.vision.native.library import library
-from skyherd.vision.native.records import UNKNOWNS, FitConstants, FitRequest
-from skyherd.vision.photometric.fitting import (
-    blur_ellipses,
-    common_unknowns,
-    correlated_noise,
-    design_matrix,
-    least_squares,
-)
+from skyherd.vision.native.records import FitConstants, FitRequest
+from skyherd.vision.photometric.fitting import common_unknowns, correlated_noise, design_matrix
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances, appearances_of
-from skyherd.vision.photometric.fitting.correlated_noise import BOX_PX, MAX_MARKERS, box_ratios
-from skyherd.vision.photometric.fitting.design_matrix import ANISOTROPY, KEYSTONE, DesignMatrices
-from skyherd.vision.photometric.fitting.fit_result import MAX_LOG_BLUR, FitResults, pose_influences
-from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
+from skyherd.vision.photometric.fitting.fit_result import MAX_LOG_BLUR, FitResults
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane, plane_limits
+
+GROUND_RIDGE = 3e-4
+"""Added to the ground's diagonal element of the normal matrix, since there may be no ground to be seen: a
+prior of standard deviation `1 / sqrt(3e-4)` = 58 times the noise about the card's white. Derived from that
+deviation, which is chosen: a smaller ridge lets an unseen ground take any value."""
+
+RIDGE = 1e-9
+"""Added to the other diagonal elements of the normal matrix, so that a column of zeros (no contrast) makes no
+singular matrix. Chosen far below the element of any column that is not zero, which it leaves as it is."""
+
+SINGLE_PRECISION = 3e-6
+"""Relative error of the sums in a Gram matrix, at most. Each diagonal element is raised by this share, so
+that two columns that are equal to within rounding make no singular matrix."""
+
+MIN_SQUARES = 1e-9
+"""Smallest sum of squared residuals, grey levels squared, which keeps the noise of a perfect fit positive.
+Chosen far below the rounding noise of a single pixel, 1/12."""
+
+MIN_CONTRAST = 4.0
+"""Smallest contrast, grey levels, that steps are divided by. Chosen: there is nothing to be fitted below it,
+and a marker counts only from `skyherd.vision.photometric.verify.MIN_MARKER_CONTRAST` on."""
 
 MAX_STEPS = 6
 """Most steps from the place at which a quadrilateral was found. Chosen: what has not settled by then is
@@ -68,87 +90,6 @@ OUTLIER_SHARE, OUTLIER_SIGMAS = 0.25, 6.0
 noise shows something other than the marker. Chosen: wrong poses and blurs leave less once a fit is near."""
 
 
-class PixelSamples:
-    """The pixels last read of each of N markers, as design matrices and their Gram matrices.
-
-    A fit reads again only the markers that still move. The Gram matrices of the others stay, so that one
-    solution covers all N markers in every step.
-    """
-
-    def __init__(self, count: int) -> None:
-        self._grams, self._counts = np.empty((count, UNKNOWNS + 1, UNKNOWNS + 1)), np.empty(count)
-        self._parts: list[DesignMatrices] = []
-        self._part_of = np.empty(count, dtype=np.int64)
-
-    def read(
-        self,
-        image: Image,
-        rows: IntArray,
-        start: LocalHomographies,
-        appearances: MarkerAppearances,
-    ) -> None:
-        """Read the pixels of the markers `rows` (R,) again.
-
-        Args:
-            image: grey, (height, width).
-            rows: indices of the markers to be read.
-            start: homographies of all N markers, about which the model is linear.
-            appearances: of all N markers.
-        """
-        pixels = DesignMatrices(image, rows, start.take(rows), appearances.take(rows))
-        self._grams[rows], self._counts[rows] = pixels.gram_matrices(), pixels.counts
-        self._part_of[rows] = len(self._parts)
-        self._parts.append(pixels)
-
-    def solution(self) -> LeastSquaresSolution:
-        """Return the least-squares solution for all N markers, with every unknown free."""
-        return LeastSquaresSolution.of_grams(self._grams, self._counts)
-
-    def cell_residuals(
-        self, rows: IntArray, solution: LeastSquaresSolution, n_cells: int
-    ) -> tuple[Array, Array]:
-        """Return what a solution of all N markers leaves of the pixels of the markers `rows` (R,).
-
-        Returns:
-            The mean residual over each cell (R, n, n), and the largest absolute residual of a pixel (R,),
-            both in grey levels.
-        """
-        means, peaks = np.empty((self._counts.size, n_cells, n_cells)), np.empty(self._counts.size)
-        for pixels in self._latest_parts(rows):
-            means[pixels.rows], peaks[pixels.rows] = pixels.cell_residuals(
-                solution.values[pixels.rows], n_cells
-            )
-        return means[rows], peaks[rows]
-
-    def variance_ratios(
-        self, right: BoolArray, solution: LeastSquaresSolution, homographies: LocalHomographies
-    ) -> tuple[Array, Array]:
-        """Return how correlated noise changes the variances of some of the markers that are `right` (N,).
-
-        Returns:
-            The ratios (N, 2) of positions and of headings, and the numbers (N,) of boxes that they are of, 0
-            for markers that were not looked at (`correlated_noise`).
-        """
-        rows = np.flatnonzero(right)[:: max(1, -(-np.count_nonzero(right) // MAX_MARKERS))]
-        ratios, numbers = np.ones((right.size, 2)), np.zeros(right.size)
-        if not rows.size:
-            return ratios, numbers
-        influences, maps = pose_influences(solution, homographies)
-        variances = (influences * maps).sum(axis=2) * (solution.noise_stds() ** 2)[:, None]
-        for pixels in self._latest_parts(rows):
-            picked = np.flatnonzero(np.isin(pixels.rows, rows))
-            here = pixels.rows[picked]
-            small, large, boxes = pixels.squared_box_sums(
-                solution.values[pixels.rows], influences[pixels.rows], picked, BOX_PX
-            )
-            ratios[here], numbers[here] = box_ratios(small, large, variances[here]), boxes
-        return ratios, numbers
-
-    def _latest_parts(self, rows: IntArray) -> list[DesignMatrices]:
-        """Return the parts that hold the latest pixels of the markers `rows`, in the order of reading."""
-        return [self._parts[part] for part in np.unique(self._part_of[rows])]
-
-
 def fit_markers(
     image: Image,
     dictionary: str,
@@ -179,7 +120,7 @@ def fit_markers(
         noise: standard deviation of a pixel, grey levels, as far as it is known.
         max_steps: most steps taken; a marker that has settled takes no more.
         alone: whether each marker has a plane of its own, also if one would explain them all.
-        streak_px2: by how much the blur differs along the image's axes, the Q of `blur_ellipses`, px²; None
+        streak_px2: by how much the blur differs along the image's axes, the Q of `design_matrix`, px²; None
             for round blur.
 
     Returns:
@@ -220,16 +161,16 @@ def fit_request(
 def fit_constants() -> FitConstants:
     """Return the constants of the fit for the compiled library."""
     return FitConstants(
-        ground_ridge=least_squares.GROUND_RIDGE,
-        ridge=least_squares.RIDGE,
-        single_precision=least_squares.SINGLE_PRECISION,
-        min_squares=least_squares.MIN_SQUARES,
-        min_contrast=least_squares.MIN_CONTRAST,
+        ground_ridge=GROUND_RIDGE,
+        ridge=RIDGE,
+        single_precision=SINGLE_PRECISION,
+        min_squares=MIN_SQUARES,
+        min_contrast=MIN_CONTRAST,
         max_growth=design_matrix.MAX_GROWTH,
         min_sigma=design_matrix.SIGMA_LIMITS[0],
         max_sigma=design_matrix.SIGMA_LIMITS[1],
-        steep_anisotropy=blur_ellipses.STEEP_ANISOTROPY,
-        min_variance_px2=blur_ellipses.MIN_VARIANCE_PX2,
+        steep_anisotropy=design_matrix.STEEP_ANISOTROPY,
+        min_variance_px2=design_matrix.MIN_VARIANCE_PX2,
         min_print_share=common_unknowns.MIN_PRINT_SHARE,
         free_sigmas=common_unknowns.FREE_SIGMAS,
         max_tone=common_unknowns.MAX_TONE,
@@ -264,22 +205,3 @@ def has_outlier_pixels(peaks: Array, contrasts: Array, noise_stds: Array) -> Boo
         noise_stds: (N,) standard deviations of the noise, grey levels.
     """
     return np.asarray(peaks > np.maximum(OUTLIER_SHARE * contrasts, OUTLIER_SIGMAS * noise_stds))
-
-
-def stepped(
-    solution: LeastSquaresSolution, homographies: LocalHomographies
-) -> tuple[LocalHomographies, Array]:
-    """Return the homographies moved by the solution's step, cut to `MAX_STEP`.
-
-    Also returned is how far the uncut step moves the middles of the sides (N,), px.
-    """
-    steps = solution.values / solution.contrasts()[:, None]
-    shift = steps[:, design_matrix.RIGHT] + 1j * steps[:, design_matrix.DOWN]
-    grow = steps[:, design_matrix.GROW] + 1j * steps[:, design_matrix.TURN]
-    anisotropy, keystone = (steps[:, pair] @ np.array([1, 1j]) for pair in (ANISOTROPY, KEYSTONE))
-    size = np.sqrt(
-        np.abs(shift) ** 2 + (np.abs(grow) ** 2 + np.abs(anisotropy) ** 2) / 4 + np.abs(keystone) ** 2 / 16
-    )
-    cut = np.minimum(1.0, MAX_STEP / np.maximum(size, MIN_STEP))
-    moved = homographies.moved(cut * shift, cut * grow, cut * anisotropy, cut * keystone)
-    return moved, size * homographies.sides_px()

@@ -8,10 +8,7 @@ import numpy.typing as npt
 from skyherd.geometry import Array, IntArray
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.messages import Quality
-from skyherd.vision.native.records import FIT, UNKNOWNS
-from skyherd.vision.photometric.fitting import design_matrix
-from skyherd.vision.photometric.fitting.design_matrix import ANISOTROPY, BLACK, BLUR, CONTRAST, MIDDLE_GREY
-from skyherd.vision.photometric.fitting.least_squares import LeastSquaresSolution
+from skyherd.vision.native.records import FIT
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.row_record import RowRecord
 
@@ -134,80 +131,3 @@ def no_fit_results(dictionary: str) -> FitResults:
         log_odds=empty,
         **scalars,
     )
-
-
-def fit_results_of(
-    ids: IntArray,
-    solution: LeastSquaresSolution,
-    homographies: LocalHomographies,
-    cell_residuals: tuple[Array, Array],
-    moved_px: Array,
-    blurs: Array,
-    anisotropy_variances: Array,
-    correlation: tuple[Array, Array] | None = None,
-) -> FitResults:
-    """Return the results of N markers from the solution of the fit's last step.
-
-    Args:
-        ids: (N,) marker ids.
-        solution: of the last step.
-        homographies: after the last step.
-        cell_residuals: as `PixelSamples.cell_residuals` returns them.
-        moved_px: (N,) how far the last step moved the middles of the sides.
-        blurs: (N,) standard deviations of the blurs that were assumed, in marker sides.
-        anisotropy_variances: (N,) variances of each component of the anisotropies that were held.
-        correlation: as `PixelSamples.variance_ratios` returns it; not known if left out.
-    """
-    cell_means, peaks = cell_residuals
-    variance_ratios, boxes = correlation or (np.ones((ids.size, 2)), np.zeros(ids.size))
-    log_blurs = solution.values[:, BLUR] / solution.contrasts()
-    found = np.clip(log_blurs, -MAX_LOG_BLUR, MAX_LOG_BLUR)
-    return FitResults(
-        ids=ids,
-        homographies=homographies,
-        covariances=_covariances(solution, homographies, anisotropy_variances),
-        blacks=solution.values[:, BLACK] + MIDDLE_GREY,
-        contrasts=solution.values[:, CONTRAST],
-        noise_stds=solution.noise_stds(),
-        log_blurs=log_blurs,
-        blurs_cells=blurs * cell_means.shape[1],
-        sigmas_px=blurs * np.exp(found) / homographies.blurs(1.0),
-        pixels=solution.pixels,
-        cell_means=cell_means,
-        peaks=peaks,
-        moved_px=moved_px,
-        variance_ratios=variance_ratios,
-        boxes=boxes,
-        qualities=np.full(ids.size, Quality.PHOTOMETRIC.value),
-        log_odds=np.full(ids.size, np.nan),
-    )
-
-
-def _covariances(
-    solution: LeastSquaresSolution, homographies: LocalHomographies, anisotropy_variances: Array
-) -> Array:
-    """Covariances (N, 3, 3) of (u, v, heading) if noise is independent from pixel to pixel.
-
-    A shear that is held at the plane's value varies as the plane does.
-    """
-    influences, maps = pose_influences(solution, homographies)
-    covariances = influences @ maps.transpose(0, 2, 1) * (solution.noise_stds() ** 2)[:, None, None]
-    covariances[:, 2, 2] += maps[:, 2, ANISOTROPY[1]] ** 2 * solution.contrasts() ** 2 * anisotropy_variances
-    return np.asarray(covariances)
-
-
-def pose_influences(solution: LeastSquaresSolution, homographies: LocalHomographies) -> tuple[Array, Array]:
-    """Return how (u, v, heading) change with each column's product with the pixels, and with each unknown.
-
-    Both are (N, 3, 15): P C and P, with C the inverse normal matrices. A step moves the centre by
-    `m d + k d̄` and turns forward by `Re((m + k) / (m - k)) (θ - e_shear)`; steps are unknowns over contrast.
-    """
-    right = homographies.similarities + homographies.anisotropies
-    down = 1j * (homographies.similarities - homographies.anisotropies)
-    turn = (right / (homographies.similarities - homographies.anisotropies)).real
-    maps = np.zeros((len(homographies), 3, UNKNOWNS))
-    for column, axis in ((design_matrix.RIGHT, right), (design_matrix.DOWN, down)):
-        maps[:, 0, column], maps[:, 1, column] = axis.real, axis.imag
-    maps[:, 2, design_matrix.TURN], maps[:, 2, ANISOTROPY[1]] = turn, -turn
-    maps /= solution.contrasts()[:, None, None]
-    return maps @ solution.inverse_normals, maps

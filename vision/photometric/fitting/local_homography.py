@@ -88,31 +88,6 @@ class LocalHomographies(RowRecord):
             records[name] = getattr(self, name)
         return records
 
-    def moved(
-        self, shift: ComplexArray, grow: ComplexArray, anisotropy: ComplexArray, keystone: ComplexArray
-    ) -> "LocalHomographies":
-        """Return the homographies after a small step of each marker in its own coordinates.
-
-        The step is `z ↦ shift + (1 + grow) z + anisotropy z̄ - z Re(q̄ z)`, with (N,) complex `shift`, `grow`
-        (real part: scale, imaginary part: rotation), `anisotropy` and `keystone` q; the result is right to
-        first order in each of them.
-        """
-        perspective = (keystone * self.similarities - keystone.conj() * self.anisotropies) / self._areas
-        return replace(
-            self,
-            centers=self.centers + self.similarities * shift + self.anisotropies * shift.conj(),
-            similarities=self.similarities * (1 + grow) + self.anisotropies * anisotropy.conj(),
-            anisotropies=self.anisotropies * (1 + grow.conj()) + self.similarities * anisotropy,
-            perspectives=self.perspectives + perspective,
-        )
-
-    def keystones_to(self, perspectives: ComplexArray) -> ComplexArray:
-        """Return the keystones q (N,) of the steps of `moved` to `perspectives` (N,), 1/px.
-
-        A change δ of the perspective is the keystone `δ m̄ + δ̄ k`, exactly.
-        """
-        return replace(self, perspectives=perspectives - self.perspectives).keystones()
-
     def keystones(self) -> ComplexArray:
         """Return the keystones q (N,): the marker's image shrinks by Re(q̄ z) towards its point z."""
         return np.asarray(
@@ -127,15 +102,6 @@ class LocalHomographies(RowRecord):
         """
         mean_square = np.abs(self.similarities) ** 2 + np.abs(self.anisotropies) ** 2
         return np.asarray(sigmas_px * np.sqrt(mean_square) / np.abs(self._areas))
-
-    def blur_anisotropies(self) -> ComplexArray:
-        """Return by how much (N,) blur that is round in the image differs along a marker's directions.
-
-        With e = k / m it is `a = e / (1 + |e|²)`: the blur's variances along x and y are those of `blurs`
-        times `1 ∓ 2 Re a`, and its covariance is `-2 Im a` times as much.
-        """
-        relative = self.anisotropies / self.similarities
-        return np.asarray(relative / (1 + np.abs(relative) ** 2))
 
     def images(self, z: ComplexArray) -> ComplexArray:
         """Return the image points (N, M), u + iv, of points z (M,) of each marker's plane."""

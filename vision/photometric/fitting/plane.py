@@ -14,7 +14,14 @@ without the sizes of the markers and without their corners.
 The plane matters to each marker's fit in two ways. It replaces two unknowns a marker by two numbers an image,
 which makes headings more precise. And it says how blur that is round in the image lies in a marker's
 coordinates; neglecting that costs 0.002 px at a tilt of 15 degrees. Where no plane explains the anisotropies,
-each marker keeps its own.
+each marker keeps its own. The perspective of a marker at p is `h = λ / (1 - λ̄·p)`.
+
+Three hypotheses are compared (`vision/native/plane_fit.c`): a camera that looks straight down (no
+unknowns), one anisotropy common to all (α), and a tilted plane (α and λ). The next one is accepted where the
+chi-squared falls by more than `SIGNIFICANT`. If more than `EXCESS` of it a degree of freedom is left in the
+end, no plane explains the anisotropies. Some markers may lie on something else or be covered in part. If a
+plane of most markers is enough, the tenth of them that lies farthest off is left out until a plane explains
+the rest, of which `MIN_SHARE_ON_PLANE` must remain.
 """
 
 from dataclasses import dataclass, field, replace
@@ -22,8 +29,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, ComplexArray
-from skyherd.vision.native.library import library
+from skyherd.geometry import ComplexArray
 from skyherd.vision.native.records import PLANE, PlaneLimits
 
 SIGNIFICANT = 14.0
@@ -92,15 +98,6 @@ class Plane:
         top = a * (1 - points * np.conj(h) / 2) - points * h / 2
         return np.asarray(top / (1 - points.conj() * h / 2 - points.conj() * np.conj(h) * a / 2))
 
-    def variances(self, points: ComplexArray) -> Array:
-        """Return the variances (N,) of each component of the anisotropies at image points (N,)."""
-        design = anisotropy_design_matrix(points)
-        return np.asarray(((design @ self.covariance) * design.conj()).sum(axis=1).real)
-
-    def perspectives(self, points: ComplexArray) -> ComplexArray:
-        """Return the perspectives h (N,), 1/px, of markers at image points (N,): `λ / (1 - λ·p)`."""
-        return np.asarray(self.perspective / (1 - (np.conj(self.perspective) * points).real))
-
 
 def anisotropy_design_matrix(points: ComplexArray) -> ComplexArray:
     """Return the columns (N, 2) of α and λ in the anisotropies at image points (N,), to first order."""
@@ -120,28 +117,3 @@ def plane_limits() -> PlaneLimits:
         min_markers=MIN_MARKERS_ON_PLANE,
         max_rounds=MAX_ROUNDS,
     )
-
-
-def fit_plane(
-    points: ComplexArray, anisotropies: ComplexArray, variances: Array, *, most: bool = True
-) -> Plane:
-    """Return the simplest plane that explains anisotropies (N,) observed at image points (N,).
-
-    Three hypotheses are compared: a camera that looks straight down (no unknowns), one anisotropy common to
-    all (α), and a tilted plane (α and λ). The next one is accepted where the chi-squared falls by more than
-    `SIGNIFICANT`. If more than `EXCESS` of it a degree of freedom is left in the end, no plane explains the
-    anisotropies, and the result has `shared` False.
-
-    Some markers may lie on something else or be covered in part. If `most`, the tenth of the markers that
-    lies farthest off is left out while no plane explains the rest, of which `MIN_SHARE_ON_PLANE` must remain.
-
-    Args:
-        points: (N,) centres of the markers, px from the image's centre.
-        anisotropies: (N,) anisotropies in image axes.
-        variances: (N,) of each of the anisotropies' two components; infinite for markers without information.
-            Errors that they leave out are estimated from the fit itself.
-        most: whether a plane is enough that explains most of them.
-    """
-    points, anisotropies = np.ascontiguousarray(points), np.ascontiguousarray(anisotropies)
-    given = points, anisotropies, np.ascontiguousarray(variances)
-    return Plane.of_record(library().fit_plane(*given, plane_limits(), most=most))

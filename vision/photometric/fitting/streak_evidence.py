@@ -1,6 +1,6 @@
 """What the pixels of fitted markers tell of a blur that differs along the image's directions, as streaks do.
 
-A streak Q (`blur_ellipses`) changes a marker's pixels by `X δQ`, where X are two combinations of its second
+A streak Q (`design_matrix`) changes a marker's pixels by `X δQ`, where X are two combinations of its second
 derivatives. Of what a fit leaves, r, and of X only that counts which the fit's own unknowns cannot explain:
 with J their columns and `C = (JᵀJ)⁻¹`,
 

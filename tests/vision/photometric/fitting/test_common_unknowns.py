@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.helpers.design_matrix_reference import MIDDLE_GREY
 from tests.helpers.fit_reference import print_inliers
 
-from skyherd.vision.photometric.fitting.design_matrix import BLACK, MIDDLE_GREY
+from skyherd.vision.photometric.fitting.design_matrix import BLACK
 
 
 def solution_of(shares):

@@ -5,12 +5,13 @@ from itertools import product
 import cv2
 import numpy as np
 import pytest
+from tests.helpers.fit_reference import box_ratios
+from tests.helpers.fit_stages import BLOCK_PX, MarkerBlocks, stages
 
 from skyherd.bench.detectors.design import Cell
 from skyherd.bench.detectors.frames import rendered_frames
 from skyherd.geometry import to_complex
-from skyherd.vision.native.library import library
-from skyherd.vision.native.records import BLOCK_PX, MarkerBlocks
+from skyherd.vision.native.records import UNKNOWNS
 from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.photometric.fitting import common_unknowns
 from skyherd.vision.photometric.fitting.correlated_noise import (
@@ -19,9 +20,8 @@ from skyherd.vision.photometric.fitting.correlated_noise import (
     RATIO_ERROR,
     SIGNIFICANT_SIGMAS,
     PooledRatios,
-    box_ratios,
 )
-from skyherd.vision.photometric.fitting.design_matrix import BLACK, UNKNOWNS
+from skyherd.vision.photometric.fitting.design_matrix import BLACK
 
 DICTIONARY, NOISE = "4X4_50", 5.0
 
@@ -62,8 +62,8 @@ def test_boxes_are_added_up_as_by_hand():
     blocks = blocks_of(np.diff(bounds), pixels, columns)
     solutions = rng.normal(size=(3, UNKNOWNS)).astype(np.float32)
     influences = rng.normal(size=(3, 3, UNKNOWNS)).astype(np.float32)
-    small, large, boxes = library().squared_box_sums(blocks, solutions, influences, np.array([1, 2, 0]), 2)
-    residuals = library().residuals(blocks, solutions)
+    small, large, boxes = stages().squared_box_sums(blocks, solutions, influences, np.array([1, 2, 0]), 2)
+    residuals = stages().residuals(blocks, solutions)
     assert not small[1].any() and not large[1].any() and not boxes[1]
     for place, marker in ((0, 1), (2, 0)):
         own = np.arange(bounds[marker], bounds[marker + 1])

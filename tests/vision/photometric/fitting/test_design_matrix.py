@@ -7,10 +7,12 @@ import pytest
 from pixel_reference import UNKNOWNS as NAMES
 from pixel_reference import columns_of, draw
 from scipy.ndimage import gaussian_filter
+from tests.helpers.design_matrix_reference import MIDDLE_GREY, PIXEL_ROW, DesignMatrices, taken
+from tests.helpers.homography_reference import blur_anisotropies
 
 from skyherd.markers.dictionary import cells_per_side, marker_cells
+from skyherd.vision.native.records import UNKNOWNS
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
-from skyherd.vision.photometric.fitting.blur_ellipses import STEEP_ANISOTROPY
 from skyherd.vision.photometric.fitting.design_matrix import (
     ANISOTROPY,
     BLACK,
@@ -21,13 +23,10 @@ from skyherd.vision.photometric.fitting.design_matrix import (
     GROW,
     KEYSTONE,
     LIGHT,
-    MIDDLE_GREY,
-    PIXEL_ROW,
     RIGHT,
+    STEEP_ANISOTROPY,
     TONE,
     TURN,
-    UNKNOWNS,
-    DesignMatrices,
 )
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 
@@ -235,7 +234,7 @@ def test_blur_that_is_round_in_the_image_is_drawn_so(direction):
     sizes, off = np.array([0.04, 0.02, 0.01]), {True: [], False: []}
     for size in sizes:
         where = homographies([16.3 + 16.1j], [24.0], [24 * size * np.exp(1j * direction)])
-        sigma, a = where.blurs(0.72)[0], np.abs(where.blur_anisotropies()[0])
+        sigma, a = where.blurs(0.72)[0], np.abs(blur_anisotropies(where)[0])
         line = 1j * np.exp(0.5j * direction) * 2 * np.sqrt(a) * sigma * nodes
         for round_in_image, errors in off.items():
             looks = appearances(DICTIONARY, [MARKER], [sigma], round_in_image=round_in_image)
@@ -318,7 +317,7 @@ def test_markers_without_pixels_have_columns_of_none(kind):
     with np.errstate(all="ignore"):
         good = homographies([40.3 + 33.3j], [22.0])
         pixels = read(noise_image(6, (70, 80)), bad.joined(good), usual(len(bad) + 1))
-    alone = read(noise_image(6, (70, 80)), good, usual(len(bad) + 1).take(np.array([len(bad)])))
+    alone = read(noise_image(6, (70, 80)), good, taken(usual(len(bad) + 1), np.array([len(bad)])))
     if kind != "before the horizon only":
         assert not pixels.counts[:-1].any()
         assert not pixels.gram_matrices()[:-1].any()

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from scipy import ndimage
+from tests.helpers.design_matrix_reference import DesignMatrices, second_derivative_maps
 
 from skyherd.markers.dictionary import cells_per_side, marker_cells
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
-from skyherd.vision.photometric.fitting.blur_ellipses import second_derivative_maps
-from skyherd.vision.photometric.fitting.design_matrix import BLUR, CONTRAST, RIGHT, DesignMatrices
+from skyherd.vision.photometric.fitting.design_matrix import BLUR, CONTRAST, RIGHT
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 
 DICTIONARY, MARKER, FINE = "4X4_50", 11, 12

@@ -2,22 +2,13 @@
 
 import numpy as np
 import pytest
+from tests.helpers.design_matrix_reference import PIXEL_ROW
+from tests.helpers.fit_stages import stages
+from tests.helpers.least_squares_reference import LeastSquaresSolution
 
-from skyherd.vision.photometric.fitting.design_matrix import (
-    ANISOTROPY,
-    BLACK,
-    CONTRAST,
-    GROUND,
-    LIGHT,
-    PIXEL_ROW,
-    UNKNOWNS,
-)
-from skyherd.vision.photometric.fitting.least_squares import (
-    GROUND_RIDGE,
-    MIN_CONTRAST,
-    SINGLE_PRECISION,
-    LeastSquaresSolution,
-)
+from skyherd.vision.native.records import UNKNOWNS
+from skyherd.vision.photometric.fitting.design_matrix import ANISOTROPY, BLACK, CONTRAST, GROUND, LIGHT, TONE
+from skyherd.vision.photometric.fitting.fit import GROUND_RIDGE, MIN_CONTRAST, SINGLE_PRECISION
 
 MARKERS, ROWS = 12, 300
 
@@ -142,8 +133,10 @@ def test_too_few_pixels_leave_no_negative_squares(rows):
     both[:, BLACK] = 1.0
     both[:, CONTRAST] = both[:, ANISOTROPY[0]]
     solution = solve((both @ both.transpose(0, 2, 1)).astype(float), rows)
-    held = solution.constrained(LIGHT, np.zeros((200, 2))).constrained(ANISOTROPY, rng.normal(size=(200, 2)))
-    for some in (solution, held):
+    at = np.zeros((200, 2)), rng.normal(size=(200, 2))
+    held = solution.constrained(LIGHT, at[0]).constrained(ANISOTROPY, at[1])
+    drawn = compiled(compiled(solution, LIGHT, at[0], np.zeros(200)), ANISOTROPY, at[1], np.zeros(200))
+    for some in (solution, held, drawn):
         assert (some.residual_squares > 0).all() and np.isfinite(some.noise_stds()).all()
     assert (grown(solution, [*LIGHT, *ANISOTROPY], np.ones((200, 4))) >= 0).all()
 
@@ -159,3 +152,25 @@ def test_a_marker_without_contrast_or_ground_is_still_solved():
     )
     assert np.isfinite(solution.constrained(LIGHT, np.zeros((1, 2))).inverse_normals).all()
     assert solution.contrasts()[0] == MIN_CONTRAST
+
+
+def compiled(solution, unknowns, at, variances):
+    """Return the solution with one or two unknowns drawn by the compiled function."""
+    parts = solution.values.copy(), solution.inverse_normals.copy(), solution.residual_squares.copy()
+    stages().hold_unknowns(*parts, (unknowns[0], unknowns[-1]), at, variances)
+    return LeastSquaresSolution(*parts, solution.pixels)
+
+
+@pytest.mark.parametrize("unknowns", [LIGHT, ANISOTROPY, TONE], ids=str)
+@pytest.mark.parametrize("variance", [0.0, 1e-3])
+def test_compiled_function_draws_as_numpy(problem, unknowns, variance):
+    _, _, grams = problem
+    solution, at = solve(grams), np.random.default_rng(6).normal(size=(MARKERS, len(unknowns)))
+    variances = np.full(MARKERS, variance)
+    found, expected = (
+        compiled(solution, unknowns, at, variances),
+        solution.expected(unknowns, at, variances),
+    )
+    for name in ("values", "inverse_normals", "residual_squares"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-10, atol=1e-12)
+    assert np.abs(found.values - solution.values).max() > 0.1

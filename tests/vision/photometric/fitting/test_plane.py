@@ -6,13 +6,21 @@ import numpy as np
 import pytest
 from scipy.special import bdtrik, chdtrc
 from tests.helpers import plane_reference
+from tests.helpers.fit_stages import stages
+from tests.helpers.plane_reference import perspectives_at, variances_at
 
 from skyherd.geometry import SQUARE_CORNERS
 from skyherd.vision.photometric.fitting import plane as plane_module
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
-from skyherd.vision.photometric.fitting.plane import SIGNIFICANT, Plane, fit_plane
+from skyherd.vision.photometric.fitting.plane import SIGNIFICANT, Plane
 
 POINTS = np.random.default_rng(0).uniform(-400, 400, (2, 16)).T @ np.array([1, 1j])
+
+
+def fit_plane(points, anisotropies, variances, *, most=True):
+    """Return the plane of the compiled fit."""
+    limits = plane_module.plane_limits()
+    return Plane.of_record(stages().fit_plane(points, anisotropies, variances, limits, most=most))
 
 
 def random_homography(seed):
@@ -86,7 +94,7 @@ def test_perspective_terms_reproduce_the_true_camera(seed):
         homographies.centers,
         homographies.similarities,
         homographies.anisotropies,
-        plane_of(homography).perspectives(POINTS),
+        perspectives_at(plane_of(homography), POINTS),
     )
     z = np.concatenate([SQUARE_CORNERS, 6 * SQUARE_CORNERS])
     truth = mapped(homography, ground[:, None] + turns[:, None] * z)
@@ -149,7 +157,7 @@ def test_how_well_the_plane_is_known_is_told(horizon, count):
         found = fit_plane(points, seen, np.full(count, sigma**2))
         if found.shared and bool(found.perspective) == bool(horizon):
             off = found.anisotropies(points) - plane.anisotropies(points)
-            squares.append(np.mean(np.abs(off) ** 2 / found.variances(points)) / 2)
+            squares.append(np.mean(np.abs(off) ** 2 / variances_at(found, points)) / 2)
     assert len(squares) > 380
     assert np.mean(squares) == pytest.approx(1.0, abs=0.03 + 5 * np.sqrt(2 / 800))
 
@@ -162,8 +170,9 @@ def test_scaled_plane_is_that_of_the_scaled_image(factor):
     points = np.array([200 + 100j, -150 + 40j])
     scaled = plane.scaled(factor)
     np.testing.assert_allclose(scaled.anisotropies(factor * points), plane.anisotropies(points), rtol=1e-12)
-    np.testing.assert_allclose(scaled.variances(factor * points), plane.variances(points), rtol=1e-12)
-    np.testing.assert_allclose(scaled.perspectives(factor * points), plane.perspectives(points) / factor)
+    np.testing.assert_allclose(variances_at(scaled, factor * points), variances_at(plane, points), rtol=1e-12)
+    expected = perspectives_at(plane, points) / factor
+    np.testing.assert_allclose(perspectives_at(scaled, factor * points), expected)
 
 
 def test_markers_under_a_bending_lens_share_no_plane():

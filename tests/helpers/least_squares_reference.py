@@ -1,45 +1,20 @@
-"""Least squares of many markers at once, from Gram matrices, with unknowns held or free.
-
-All columns of a marker's model, together with its pixels, make one matrix of inner products. The solution x
-with every unknown free also gives the solution in which some of them, h, are held at values x_h = v,
-
-    x' = x - C_xh C_hh⁻¹ (x_h - v),   C' = C - C_xh C_hh⁻¹ C_hx,
-
-with C the inverse normal matrix; the sum of squares grows by `(x_h - v)ᵀ C_hh⁻¹ (x_h - v)`. With `C_hh + P`
-in place of C_hh, the unknowns are not held, but expected at v with variances P. One Gram matrix a marker thus
-answers every question that is asked by holding unknowns (is the light even? do the anisotropies belong to one
-plane?) without looking at the pixels again.
-"""
+"""Least squares of many markers at once in NumPy, as in `least_squares.c`; `fit` has the formulas."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from tests.helpers.design_matrix_reference import PIXEL_ROW
 
 from skyherd.geometry import Array
-from skyherd.vision.native.library import library
 from skyherd.vision.native.records import UNKNOWNS
-from skyherd.vision.photometric.fitting.design_matrix import CONTRAST, GROUND, PIXEL_ROW
-
-GROUND_RIDGE = 3e-4
-"""Added to the ground's diagonal element of the normal matrix, since there may be no ground to be seen: a
-prior of standard deviation `1 / sqrt(3e-4)` = 58 times the noise about the card's white. Derived from that
-deviation, which is chosen: a smaller ridge lets an unseen ground take any value."""
-
-RIDGE = 1e-9
-"""Added to the other diagonal elements of the normal matrix, so that a column of zeros (no contrast) makes no
-singular matrix. Chosen far below the element of any column that is not zero, which it leaves as it is."""
-
-SINGLE_PRECISION = 3e-6
-"""Relative error of the sums in a Gram matrix, at most. Each diagonal element is raised by this share, so
-that two columns that are equal to within rounding make no singular matrix."""
-
-MIN_SQUARES = 1e-9
-"""Smallest sum of squared residuals, grey levels squared, which keeps the noise of a perfect fit positive.
-Chosen far below the rounding noise of a single pixel, 1/12."""
-
-MIN_CONTRAST = 4.0
-"""Smallest contrast, grey levels, that steps are divided by. Chosen: there is nothing to be fitted below it,
-and a marker counts only from `skyherd.vision.photometric.verify.MIN_MARKER_CONTRAST` on."""
+from skyherd.vision.photometric.fitting.design_matrix import CONTRAST, GROUND
+from skyherd.vision.photometric.fitting.fit import (
+    GROUND_RIDGE,
+    MIN_CONTRAST,
+    MIN_SQUARES,
+    RIDGE,
+    SINGLE_PRECISION,
+)
 
 _RIDGES = np.diag(np.where(np.arange(UNKNOWNS) == GROUND, GROUND_RIDGE, RIDGE))
 _RAISED_DIAGONAL = 1 + SINGLE_PRECISION * np.eye(UNKNOWNS)
@@ -95,14 +70,19 @@ class LeastSquaresSolution:
         return self._drawn(unknowns, at, np.zeros(len(self.values)), self.free - len(unknowns))
 
     def _drawn(self, unknowns: list[int], at: Array, variances: Array, free: int) -> "LeastSquaresSolution":
-        """Return the solution with unknowns drawn towards values, by the module's formula, two at a time."""
-        values, inverse_normals = self.values.copy(), self.inverse_normals.copy()
-        squares = self.residual_squares.copy()
-        for begin in range(0, len(unknowns), 2):
-            pair = unknowns[begin : begin + 2]
-            targets = np.ascontiguousarray(at[:, begin : begin + 2], dtype=float), variances
-            library().hold_unknowns(values, inverse_normals, squares, (pair[0], pair[-1]), *targets)
-        return LeastSquaresSolution(values, inverse_normals, squares, self.pixels, free)
+        """Return the solution with unknowns drawn towards values, by the formula of `fit`."""
+        columns = self.inverse_normals[:, :, unknowns]
+        own = columns[:, unknowns] + variances[:, None, None] * np.eye(len(unknowns))
+        gains = np.linalg.inv(own)
+        off = self.values[:, unknowns] - at
+        pulls = (gains @ off[..., None])[..., 0]
+        return LeastSquaresSolution(
+            self.values - (columns @ pulls[..., None])[..., 0],
+            self.inverse_normals - columns @ gains @ self.inverse_normals[:, unknowns],
+            self.residual_squares + np.maximum((off * pulls).sum(axis=1), 0.0),
+            self.pixels,
+            free,
+        )
 
     def noise_stds(self) -> Array:
         """Return the standard deviations (N,) of a pixel about the model, grey levels.

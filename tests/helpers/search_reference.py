@@ -117,17 +117,12 @@ def find_quads(
         mosaic = crowded_places(small, known, min_darkness)
         if mosaic is None:
             continue
-        found.append(shrink * quads_of_places(mosaic, whole=shrink == 1) + middle)
+        regions = dark_regions(mosaic)
+        if shrink == 1:
+            found.append(_quads_of(dark_boundaries(regions, MIN_POINTS), GROWTH_PX))
+        apart = _quads_of(dark_boundaries(regions.eroded(), MIN_POINTS), GROWTH_PX + ERODED_PX)
+        found.append(shrink * apart + middle)
     return np.concatenate(found) if found else np.zeros((0, 4, 2))
-
-
-def quads_of_places(mosaic: Mosaic, *, whole: bool = True) -> Array:
-    """Return the quadrilaterals of a mosaic after one erosion, and those before it if `whole`."""
-    regions = dark_regions(mosaic)
-    apart = _quads_of(dark_boundaries(regions.eroded(), MIN_POINTS), GROWTH_PX + ERODED_PX)
-    if not whole:
-        return apart
-    return np.concatenate([_quads_of(dark_boundaries(regions, MIN_POINTS), GROWTH_PX), apart])
 
 
 def small_quads(mosaic: Mosaic) -> Array:

@@ -18,6 +18,7 @@ from skyherd.vision.native.records import (
     FIT,
     MAX_SECOND_DIFFERENCE,
     PLANE,
+    POSE_UNKNOWNS,
     FitRequest,
     VisibleRequest,
 )
@@ -94,7 +95,7 @@ class Library(SearchFunctions):
         """
         given, count, n_cells = request.structure(), len(request.start), request.cells.shape[1] - 2
         fits, means = np.empty(count, dtype=FIT), np.empty((count, n_cells, n_cells))
-        covariances = np.empty((count, 8, 8))
+        covariances = np.empty((count, POSE_UNKNOWNS, POSE_UNKNOWNS))
         results = fits.ctypes.data, means.ctypes.data, covariances.ctypes.data
         check(self.functions.fit_freely(ctypes.byref(given), settled_px, *results), ERRORS)
         return fits, covariances

@@ -9,8 +9,8 @@ import numpy.typing as npt
 from skyherd.geometry import Array, Image
 from skyherd.native.arguments import address, check_plane
 
-UNKNOWNS = 15
-"""Unknowns of a marker."""
+UNKNOWNS, POSE_UNKNOWNS = 15, 8
+"""Unknowns of a marker, and those of them that make up a step of its pose."""
 
 MAX_SECOND_DIFFERENCE = 4 * 255
 """Largest second difference of grey levels. Derived."""

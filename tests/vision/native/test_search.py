@@ -14,10 +14,10 @@ from skyherd.vision.native.library import declared, library
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.search.faint import find_faint_quads
 from skyherd.vision.search.quads import (
+    GROWTH_PX,
     MIN_QUAD_SIDE_PX,
     SHRINKS,
     find_quads,
-    quads_of_places,
     search_parameters,
     small_quads,
 )
@@ -79,16 +79,16 @@ def whole(image):
     )
 
 
-def clear_of_limit(quads, enlargement):
+def clear_of_limit(quads, enlargement, min_side_px):
     """Return the quadrilaterals whose shortest side does not equal the limit, which rounding decides."""
     shortest = np.linalg.norm(np.roll(quads, -1, axis=1) - quads, axis=2).min(axis=1)
-    limits = MIN_QUAD_SIDE_PX * np.array(SHRINKS if enlargement == 1 else [1 / enlargement])
+    limits = min_side_px * np.array(SHRINKS if enlargement == 1 else [1 / enlargement])
     return quads[np.abs(shortest[:, None] - limits).min(axis=1) > TOLERANCE_PX]
 
 
-def assert_same_quads(found, expected, enlargement=1):
+def assert_same_quads(found, expected, enlargement=1, min_side_px=MIN_QUAD_SIDE_PX):
     """Assert that two sets of quadrilaterals are equal, in any order and from any first corner."""
-    found, expected = (clear_of_limit(quads, enlargement) for quads in (found, expected))
+    found, expected = (clear_of_limit(quads, enlargement, min_side_px) for quads in (found, expected))
     assert len(found) == len(expected)
     if not len(found):
         return
@@ -124,16 +124,22 @@ def test_images_of_markers_have_many_quads():
     assert len(small_quads(crowded_places(image_of("small markers")))) > 60
 
 
-def test_quads_of_small_images_equal_reference():
-    """Windows wider than the image are mirrored several times."""
-    found = 0
-    for height in range(14, 50, 4):
-        for width in range(14, 50, 4):
+def test_quads_of_small_images_equal_reference(monkeypatch):
+    """Windows wider than the image are mirrored several times. Low limits let small regions count."""
+    parameters, found = search_parameters(range(1)), 0
+    parameters.min_side_px, parameters.min_points = 3.0, 8
+    parameters.min_area_px2, parameters.min_compactness = 4.0, 0.0
+    monkeypatch.setattr(reference, "MIN_QUAD_SIDE_PX", 3.0)
+    monkeypatch.setattr(reference, "MIN_COMPACTNESS", 0.0)
+    for height in range(4, 50, 2):
+        for width in range(4, 50, 2):
             places = whole(markers((width, height), 2, 2.0, 100 * height + width))
-            expected = reference.quads_of_places(places)
-            assert_same_quads(quads_of_places(places, range(2)), expected)
-            found += len(expected)
-    assert found > 50
+            boundaries = reference.dark_boundaries(reference.dark_regions(places), 8)
+            expected = reference._quads_of(boundaries, GROWTH_PX, min_area_px2=4.0)
+            quads, _ = library().quads(places.image, places.mask, parameters)
+            assert_same_quads(quads, expected, min_side_px=3.0)
+            found += len(expected) * (min(height, width) <= 10)
+    assert found > 100
 
 
 BLOCKS = np.zeros((2, 2, 2), np.float32)

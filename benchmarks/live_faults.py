@@ -34,8 +34,9 @@ from skyherd.live.lab import Lab, load_lab
 from skyherd.live.mailbox import Air, Mailbox, MemoryRadio
 from skyherd.live.robot_core import RobotCore
 from skyherd.live.session import Session
+from skyherd.live.stop_latch import NOT_HALTED
 from skyherd.live.unit_core import UnitCore
-from skyherd.live.wire import MAX_BYTES, VERSION
+from skyherd.live.wire import MAX_BYTES, VERSION, Heartbeat
 from skyherd.messages import VelocityCommand
 from skyherd.sim.physics import make_world
 from skyherd.sim.projected_perception import ProjectedPerception
@@ -203,7 +204,7 @@ class Team:
             else:
                 self._drive(process, clock_s)
             if self._step % HEARTBEAT_STEPS == 0:
-                process.mailbox.send(process.core.heartbeat(clock_s, ""))
+                process.mailbox.send(self._heartbeat(process, clock_s))
         self._move()
         self._step += 1
         self.now_s = self.start_s + self._step * PERIOD_S
@@ -221,6 +222,14 @@ class Team:
             self.woke = {}
         if self._arming is not None and self.time_s < self._arming[1]:
             self._arming[0].advance()
+
+    def _heartbeat(self, process: Process, clock_s: float) -> Heartbeat:
+        """Return a heartbeat; the links of these robots take every command at once."""
+        core = process.core
+        if isinstance(core, UnitCore):
+            return core.heartbeat(clock_s, "")
+        stands = not any(self.wheels.get(core.robot_id, (0.0, 0.0))[:2])
+        return core.heartbeat(clock_s, "", core.latch.stop if stands else NOT_HALTED)
 
     def _look(self, process: Process, clock_s: float) -> None:
         unit = process.core.unit_id

@@ -174,5 +174,6 @@ class Script:
         speed = 0.1 * (reason == "driving")
         order = Order(speed, 0.0, reason, wanted_v_mps=0.0, wanted_omega_radps=0.0)
         age_s = now_s - float(self.captured_s[image]) - offset_s
-        process_log.put("/decide", now_s, {"order": order, "armed": speed > 0, "image_age_s": age_s})
+        decided = {"order": order, "armed": speed > 0, "image_age_s": age_s, "trouble": None}
+        process_log.put("/decide", now_s, decided)
         process_log.put("/heartbeat", now_s, {"refused": {}, "dropped": 0})

@@ -54,9 +54,9 @@ def wrap(process, process_log):
             process_log.heard(arrival)
             yield arrival
 
-    def heartbeat_and_keep(now_s, state):
+    def heartbeat_and_keep(now_s, *state):
         process_log.put("/heartbeat", now_s, {})
-        return heartbeat(now_s, state)
+        return heartbeat(now_s, *state)
 
     process.mailbox.fetch, core.heartbeat = fetch_and_keep, heartbeat_and_keep
     if process.name.startswith("robot"):
@@ -64,7 +64,7 @@ def wrap(process, process_log):
 
         def decide_and_keep(now_s):
             order = decide(now_s)
-            process_log.put("/decide", now_s, {"order": order})
+            process_log.put("/decide", now_s, {"order": order, "trouble": None})
             return order
 
         core.decide = decide_and_keep

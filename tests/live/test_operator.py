@@ -19,7 +19,7 @@ from skyherd.live.operator import (
     watch,
 )
 from skyherd.live.session import Session, outcome_lines
-from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch, stop_number
+from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, NOT_HALTED, StopLatch, stop_number
 from skyherd.live.wire import Arm, Heartbeat, Stop
 
 LAB = load_lab("triangle")
@@ -30,6 +30,7 @@ class ScriptedRobot:
 
     def __init__(self, team: "ScriptedTeam", robot: int) -> None:
         self.latch, self.armed, self.ready, self.frozen = NO_COMMAND, False, True, False
+        self.is_broken, self.halted, self.trouble = False, NOT_HALTED, ""
         self.mailbox = Mailbox(
             team.air.radio(f"robot/{robot}"),
             LAB.model.team,
@@ -41,7 +42,9 @@ class ScriptedRobot:
         self.commands = []
 
     def beat(self) -> None:
-        self.mailbox.send(Heartbeat({}, "here", f"session {self.latch.stop}", self.armed, self.ready))
+        session = f"session {self.latch.stop}"
+        state = "here" + self.trouble
+        self.mailbox.send(Heartbeat({}, state, session, self.armed, self.ready, self.halted))
 
     def obey(self) -> None:
         for arrival in self.mailbox.fetch():
@@ -51,6 +54,8 @@ class ScriptedRobot:
             if isinstance(message, Arm) and self.mailbox.name in message.sessions:
                 self.armed = self.ready and not self.latch.stopped
         self.armed = self.armed and not self.latch.stopped
+        if not self.is_broken:
+            self.halted = NOT_HALTED if self.armed else self.latch.stop
 
 
 class ScriptedTeam:
@@ -103,6 +108,23 @@ class TestStop:
             command.advance()
         assert command.outcome().done == [robot for robot in LAB.ids if robot != 3]
         assert "disarmed, here, heard 0.0 s ago" in command.outcome().missing[3]
+
+    def test_not_confirmed_until_the_link_takes_a_zero(self) -> None:
+        """Robot 1 took its last zero before the stop; robot 2 has never taken one."""
+        team = ScriptedTeam()
+        for robot in team.robots.values():
+            robot.armed = robot.mailbox.name == "robot/2"
+        team.pass_time(0.0)
+        for robot in (1, 2):
+            team.robots[robot].is_broken, team.robots[robot].trouble = True, "; no link"
+        team.pass_time(0.0)
+        outcome = stop(LAB, team.watched, "test")
+        assert outcome.done == [robot for robot in LAB.ids if robot not in (1, 2)]
+        words = "disarmed, here; no link, its link has not taken a zero since, heard 0.0 s ago"
+        assert outcome.missing == {1: words, 2: words}
+        team.robots[1].is_broken = False
+        team.pass_time(0.0)
+        assert list(stop(LAB, team.watched, "again").missing) == [2]
 
     def test_not_confirmed_by_armed_robot(self) -> None:
         team = ScriptedTeam()

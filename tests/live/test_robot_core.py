@@ -15,6 +15,7 @@ from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
 from skyherd.live.robot_core import (
     DRIVING,
     MAX_GAP_S,
+    MAX_TROUBLE_S,
     NO_SESSION,
     SESSION_SILENCE_S,
     UNSEEN,
@@ -717,3 +718,43 @@ def test_wheels_turn_only_while_all_conditions_hold(script) -> None:
             assert grown[1] <= LIMITS.speeds.turn_acceleration_radps2 * gap_s + 1e-9
             assert since_double_s >= LIMITS.unseen_s - 1e-6
         before = order.v_mps, order.omega_radps
+
+
+class TestTroubleOfTheLink:
+    def test_robot_with_trouble_is_not_ready(self) -> None:
+        scene = Scene()
+        scene.wake()
+        scene.see()
+        assert scene.core.is_ready(scene.now_s)
+        scene.core.decide(scene.now_s, "no link")
+        assert not scene.core.is_ready(scene.now_s) and not scene.core.heartbeat(scene.now_s, "").ready
+        scene.arm()
+        assert not scene.core.armed
+        scene.core.decide(scene.now_s)
+        assert scene.core.is_ready(scene.now_s)
+
+    @pytest.mark.parametrize(
+        ("trouble_s", "drives"), [(MAX_TROUBLE_S - STEP_S, True), (MAX_TROUBLE_S + STEP_S, False)]
+    )
+    def test_long_trouble_disarms_the_robot(self, trouble_s, drives) -> None:
+        scene = Scene()
+        scene.drive()
+        session, began_s = scene.core.session, scene.now_s
+        while scene.now_s - began_s < trouble_s + STEP_S / 2:
+            scene.now_s += STEP_S
+            scene.see()
+            order = scene.core.decide(scene.now_s, "no link")
+        scene.see()
+        after = scene.step()
+        assert scene.core.armed == drives == (scene.core.session == session)
+        assert (order.reason, after.reason) == ((DRIVING, DRIVING) if drives else ("no link", "disarmed"))
+        assert drives or order.v_mps == order.omega_radps == after.v_mps == 0.0
+
+    def test_short_troubles_do_not_add_up(self) -> None:
+        scene = Scene()
+        scene.drive()
+        for number in range(60):
+            scene.now_s += STEP_S
+            scene.see()
+            scene.core.decide(scene.now_s, "no link" if number % 10 else None)
+        assert scene.core.armed

@@ -28,6 +28,9 @@ Numbers do not cover one case of confirmed stops, and the checks exclude exactly
 Processes keep only the largest number, so that the cleared stop hides the first one. No rule for one largest
 number avoids that.
 
+A robot with a driver (`Setup.has_driver`) writes to its link at any time or never. Its heartbeats say which
+stop number it knew at the last zero. Without a driver it writes at once.
+
 The operators have different tags, so that their stops have different numbers.
 `test_equal_numbers_break_the_guarantee` shows why: two independent stops with equal numbers are one stop for
 all processes, so that one confirms the other and one arm command clears both.
@@ -44,7 +47,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from skyherd.live.operator import LEARN_S, ArmCommand, Sign, StopCommand, Watch
-from skyherd.live.stop_latch import NO_COMMAND, TAGS, ArmState, StopLatch
+from skyherd.live.stop_latch import NO_COMMAND, NOT_HALTED, TAGS, ArmState, StopLatch
 from skyherd.live.wire import Arm, Heartbeat, Stop
 
 FRESH = ArmState()
@@ -304,6 +307,7 @@ MAX_ISSUES = 8
 CONFIRMED = "a robot that confirmed a stop drives by a command whose operator had not heard of it"
 HEARD = "a robot that heard of a stop drives by a command whose operator had not heard of it"
 GOALS = "a unit that heard of a stop sends goals"
+UNWRITTEN = "a stop is confirmed by a robot that wrote no zero since it knew the number"
 IN_THE_END = "a stop that no command cleared does not hold in the end"
 
 
@@ -331,6 +335,7 @@ class Packet(NamedTuple):
         session: disarmed count of the sending robot, or of the robot to arm; None without a robot.
         armed: whether the sending robot is armed.
         given: bits of the issues that the operator had heard when it gave the arm command.
+        halted: stop number that the sending robot knew when it last wrote zero.
     """
 
     kind: str
@@ -339,6 +344,7 @@ class Packet(NamedTuple):
     session: int | None = None
     armed: bool = False
     given: int = 0
+    halted: int = 0
 
 
 class Running(NamedTuple):
@@ -394,11 +400,18 @@ class Operator(NamedTuple):
 
 
 class Robot(NamedTuple):
-    """The robot with the issues that it heard, and those known to the arm command in force."""
+    """The robot with the issues that it heard, and those known to the arm command in force.
+
+    Attributes:
+        halted: stop number known at the last write if it was zero, of a robot with a driver.
+        zeroed: bits of the issues that it had heard when it wrote zero.
+    """
 
     state: ArmState = FRESH
     heard: int = 0
     armed_by: int = 0
+    halted: int = NOT_HALTED
+    zeroed: int = 0
 
 
 class Unit(NamedTuple):
@@ -419,6 +432,7 @@ class Setup:
         arms: number of arm commands.
         is_armed: whether the robot is armed by an earlier command.
         has_unit: whether a unit relays the numbers and sends goals.
+        has_driver: whether writes of the robot are events of their own, which may not come.
         reissues: number of times that each stop may be issued again.
         ignores_unseen: whether the checks exclude the case that numbers do not cover.
     """
@@ -429,6 +443,7 @@ class Setup:
     arms: int = 1
     is_armed: bool = False
     has_unit: bool = False
+    has_driver: bool = False
     reissues: int = 1
     ignores_unseen: bool = True
 
@@ -458,7 +473,7 @@ def watching(latch: StopLatch, sign: Packet, time_s: float, tag: int) -> tuple[W
     """Return the real view of an operator that knows a latch and the robot's last heartbeat."""
     outbox: Any = Outbox()
     outbox.watched = Watch(outbox, lambda: time_s, latch, tag=tag)
-    heartbeat = Heartbeat({}, session=str(sign.session), armed=sign.armed, ready=True)
+    heartbeat = Heartbeat({}, session=str(sign.session), armed=sign.armed, ready=True, halted=sign.halted)
     outbox.watched.signs[ROBOT] = Sign(heartbeat, sign.latch, time_s, time_s)
     return outbox.watched, outbox
 
@@ -529,6 +544,7 @@ class TeamModel:
         self._items: list[Any] = []
         self._numbers: dict[tuple[type, Any], int] = {}
         self.robot_after = cache(self._robot_after)
+        self.robot_written = cache(self._robot_written)
         self.unit_after = cache(self._unit_after)
         self.reactions = cache(self._reactions)
         self.actions = cache(self._actions)
@@ -551,7 +567,9 @@ class TeamModel:
     def _members(self, bits: int) -> list[int]:
         return [number for number in range(bits.bit_length()) if bits >> number & 1]
 
-    def explore(self, guarantees: Iterable[str] = (CONFIRMED, HEARD, GOALS, IN_THE_END)) -> tuple[int, str]:
+    def explore(
+        self, guarantees: Iterable[str] = (CONFIRMED, HEARD, GOALS, UNWRITTEN, IN_THE_END)
+    ) -> tuple[int, str]:
         """Visit all reachable states. Return their number, and the first violation of these guarantees."""
         setup = self._setup
         robot = Robot(ArmState(NO_COMMAND, 0 if setup.is_armed else None))
@@ -581,6 +599,8 @@ class TeamModel:
 
     def successors(self, team: Team) -> Iterator[Team]:
         """Yield all states after one event."""
+        if self._setup.has_driver and (robot := self.robot_written(team.robot)) != team.robot:
+            yield team._replace(robot=robot)
         for packet in self.members(team.network):
             robot = self.robot_after(team.robot, packet)
             if robot != team.robot:
@@ -608,7 +628,19 @@ class TeamModel:
             return self.bits([Packet("heartbeat", sender.latch, sender.heard)])
         state = sender.state
         session = state.disarmed_count
-        return self.bits([Packet("heartbeat", state.latch, sender.heard, session, state.armed)])
+        at_once = NOT_HALTED if state.armed else state.latch.stop
+        halted = sender.halted if self._setup.has_driver else at_once
+        return self.bits(
+            [Packet("heartbeat", state.latch, sender.heard, session, state.armed, halted=halted)]
+        )
+
+    def _robot_written(self, number: int) -> int:
+        """Return the robot after a write without an error: zero, unless it is armed."""
+        robot = self._items[number]
+        if robot.state.armed:
+            return self.number(robot._replace(halted=NOT_HALTED))
+        zeroed = robot.zeroed | robot.heard
+        return self.number(robot._replace(halted=robot.state.latch.stop, zeroed=zeroed))
 
     def _robot_after(self, number: int, packet_number: int) -> int:
         """Return the robot after a message, by the rules of the first model."""
@@ -618,7 +650,8 @@ class TeamModel:
         state = Rules().hear(robot.state, Message(packet.kind, packet.latch, named), session)
         is_obeyed = packet.kind == "arm" and named == session and state.armed_at == packet.latch.cleared
         armed_by = packet.given if is_obeyed else robot.armed_by if state.armed else 0
-        return self.number(Robot(state, robot.heard | packet.heard, armed_by))
+        after = robot._replace(state=state, heard=robot.heard | packet.heard, armed_by=armed_by)
+        return self.number(after)
 
     def _unit_after(self, number: int, packet_number: int) -> int:
         unit, packet = self._items[number], self._items[packet_number]
@@ -701,6 +734,10 @@ class TeamModel:
                 is_unseen = any(not one.bit & stop.seen and one.number >= stop.number for one in known)
                 if not (is_unseen and self._setup.ignores_unseen):
                     found.add(CONFIRMED)
+            if isinstance(stop, Confirmed) and self._setup.has_driver:
+                written = [one.number for one in issues if one.bit & robot.zeroed]
+                if not any(one >= stop.number for one in written):
+                    found.add(UNWRITTEN)
         latch = NO_COMMAND
         for number in self.members(network):
             latch = latch.merge(self._items[number].latch)
@@ -737,7 +774,13 @@ DISAGREEING = Setup((1, 3))
 """The first operator's clock is behind."""
 
 
-@pytest.mark.parametrize("setup", [replace(DISAGREEING, is_armed=True), Setup((2, 2), stops=1, arms=2)])
+DRIVEN = Setup((1, 3), stops=2, arms=0, is_armed=True, has_driver=True)
+"""The robot has a driver."""
+
+
+@pytest.mark.parametrize(
+    "setup", [replace(DISAGREEING, is_armed=True), Setup((2, 2), stops=1, arms=2), DRIVEN]
+)
 def test_stop_holds_with_clocks_that_disagree(setup) -> None:
     states, found = TeamModel(setup, OperatorRules()).explore()
     assert not found and states > 1000
@@ -754,6 +797,7 @@ def test_stop_holds_with_clocks_that_disagree(setup) -> None:
         replace(DISAGREEING, stops=1, arms=2, has_unit=True),
         replace(DISAGREEING, has_unit=True),
         replace(DISAGREEING, arms=2),
+        replace(DISAGREEING, has_driver=True),
     ],
 )
 def test_stop_holds_with_clocks_in_longer_orders(setup) -> None:
@@ -780,6 +824,16 @@ class AnyHeartbeatConfirms(OperatorRules):
         return not sign.armed, number, sent
 
 
+class UnwrittenZeroConfirms(OperatorRules):
+    """Broken rule: a disarmed robot that knows the stop confirms it before it has written zero."""
+
+    def advance(
+        self, latch: StopLatch, sign: Packet, number: int, is_learning: bool, time_s: float, tag: int
+    ) -> tuple[bool, int, Sent]:
+        sign = sign._replace(halted=sign.latch.stop)
+        return super().advance(latch, sign, number, is_learning, time_s, tag)
+
+
 class ArmClearsLaterStops(OperatorRules):
     """Broken rule: an arm command clears stops learnt after it was given."""
 
@@ -804,6 +858,7 @@ class ArmClearsUnknownStops(OperatorRules):
     [
         (NoReissue, CONFIRMED),
         (AnyHeartbeatConfirms, CONFIRMED),
+        (UnwrittenZeroConfirms, UNWRITTEN),
         (ArmClearsLaterStops, CONFIRMED),
         (ArmClearsUnknownStops, CONFIRMED),
         (ArmClearsUnknownStops, HEARD),
@@ -812,7 +867,7 @@ class ArmClearsUnknownStops(OperatorRules):
     ],
 )
 def test_model_detects_each_broken_command(broken, guarantee) -> None:
-    setup = replace(DISAGREEING, has_unit=guarantee == GOALS)
+    setup = DRIVEN if guarantee == UNWRITTEN else replace(DISAGREEING, has_unit=guarantee == GOALS)
     _, found = TeamModel(setup, broken()).explore([guarantee])
     assert found == guarantee
 

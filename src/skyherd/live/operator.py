@@ -160,8 +160,9 @@ class StopCommand:
     """Command that stops and disarms all robots, and latches the stop in every process of the team.
 
     A robot confirms the stop by a heartbeat that carries its number, or a newer one, and reports the robot
-    disarmed. Heartbeats sent before the stop do not confirm it: if the team turns out to know a higher
-    number, such as of an operator whose clock is ahead, the stop gets one above that.
+    disarmed. The heartbeat also says that the link to the wheels took a zero since the robot knew that
+    number. Heartbeats sent before the stop do not confirm it: if the team turns out to know a higher number,
+    such as of an operator whose clock is ahead, the stop gets one above that.
 
     Args:
         lab: the set-up.
@@ -204,7 +205,9 @@ class StopCommand:
 
     def _has_stopped(self, robot: int) -> bool:
         sign = self._watched.robot_sign(robot)
-        return sign is not None and sign.latch.stop >= self._number and not sign.heartbeat.armed
+        if sign is None or sign.heartbeat.armed:
+            return False
+        return min(sign.latch.stop, sign.heartbeat.halted) >= self._number
 
 
 class ArmCommand:
@@ -347,4 +350,6 @@ def _last_state(watched: Watch, robot: int) -> str:
         return "never heard" if known is None else f"silent; {known[1]} heard it {known[0]:.1f} s ago"
     armed = "armed" if sign.heartbeat.armed else "disarmed"
     age_s = max(0.0, watched.clock() - sign.received_s)
-    return f"{armed}, {sign.heartbeat.state or 'no state'}, heard {age_s:.1f} s ago"
+    is_pending = sign.latch.stopped and not sign.heartbeat.armed and sign.heartbeat.halted < sign.latch.stop
+    zero = ", its link has not taken a zero since" * is_pending
+    return f"{armed}, {sign.heartbeat.state or 'no state'}{zero}, heard {age_s:.1f} s ago"

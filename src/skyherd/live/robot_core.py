@@ -11,7 +11,8 @@ turn only while all of these conditions hold. The robot reports the first condit
 - a goal is fresh: its image is at most `goal_timeout_s` old, by compared clocks. This is the watchdog against
   stale goals;
 - a unit saw the robot's marker within `unseen_s`, and no unit has seen it at two places since;
-- a unit sent a message after the robot's process started or woke up. It carries the stop number.
+- a unit sent a message after the robot's process started or woke up. It carries the stop number;
+- the link to the wheels takes commands. After `MAX_TROUBLE_S` without, the robot is disarmed.
 
 Speeds stay within the limits for any input, and their magnitude grows no faster than the acceleration limits.
 Stopping is not limited: the command is zero at once, and the drive brakes.
@@ -35,7 +36,7 @@ from skyherd.live.drivers.driver import HOLD_S
 from skyherd.live.drivers.limits import Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Motion
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
-from skyherd.live.stop_latch import ArmState, StopLatch
+from skyherd.live.stop_latch import NOT_HALTED, ArmState, StopLatch
 from skyherd.live.wire import SESSION, Arm, Envelope, Heartbeat, Sighting, Stop
 from skyherd.messages import MotionGoals, Proximity, VelocityCommand
 from skyherd.messages.checks import check_numbers
@@ -47,6 +48,10 @@ interval, and above the change of an offset estimate between two messages."""
 MAX_GAP_S = 1.0
 """Longest time between two decisions without suspecting a sleep or a set clock, s. Chosen: ten periods, and
 above the scheduling delays of a busy machine."""
+
+MAX_TROUBLE_S = 1.0
+"""Time of trouble with the link after which the robot is disarmed, s. Chosen: one lost line disarms no robot,
+and a cable that is plugged in by hand takes longer."""
 
 DRIVING = "driving"
 """Reason reported while nothing stops the robot."""
@@ -155,6 +160,8 @@ class RobotCore:
         self._team: GoalFollowers
         self._limiter = Limiter(limits.speeds)
         self._refused = ""
+        self._trouble: str | None = None
+        self._trouble_since_s = math.inf
         self._forget()
 
     @property
@@ -199,20 +206,27 @@ class RobotCore:
 
     def is_ready(self, now_s: float) -> bool:
         """Return whether the robot accepts an arm command now."""
-        return self._conflict(now_s) is None and self._has_session(now_s) and self._is_seen(now_s)
+        is_sound = self._conflict(now_s) is None and self._trouble is None
+        return is_sound and self._has_session(now_s) and self._is_seen(now_s)
 
-    def heartbeat(self, now_s: float, state: str) -> Heartbeat:
-        """Return the next heartbeat of this robot."""
+    def heartbeat(self, now_s: float, state: str, halted: int = NOT_HALTED) -> Heartbeat:
+        """Return the next heartbeat of this robot; `halted` is that of its driver."""
         heard, ready = self.clocks.heard(now_s), self.is_ready(now_s)
-        return Heartbeat(heard, state, self.session, self.armed, ready, self._lab)
+        return Heartbeat(heard, state, self.session, self.armed, ready, self._lab, halted)
 
     def image_age_s(self, now_s: float) -> float | None:
         """Return the age of the newest image with a goal, s, or None without a goal."""
         newest_s = float(self._team.inboxes.imaged_s.max())
         return now_s - newest_s if math.isfinite(newest_s) else None
 
-    def decide(self, now_s: float) -> Order:
-        """Return the next wheel command. Called periodically, also without new messages."""
+    def decide(self, now_s: float, trouble: str | None = None) -> Order:
+        """Return the next wheel command. Called periodically, also without new messages.
+
+        Args:
+            now_s: current time.
+            trouble: reason why the link to the wheels takes no commands now, or None.
+        """
+        self._note_trouble(trouble, now_s)
         if not math.isfinite(now_s):
             return self._stopped("its own clock has no finite time")
         if self._started_s is None:
@@ -248,6 +262,8 @@ class RobotCore:
             return conflict
         if not self._has_session(now_s):
             return NO_SESSION
+        if self._trouble is not None and now_s - self._trouble_since_s >= MAX_TROUBLE_S:
+            return self._trouble
         if not self._team.inboxes.fresh(now_s).any():
             return self._refused or ("no fresh goal" if self._is_seen(now_s) else UNSEEN)
         if not self._is_seen(now_s):
@@ -255,6 +271,16 @@ class RobotCore:
         if not self._heard_since_woken:
             return "no message from a unit since the process started or woke up"
         return None if self.armed else "disarmed"
+
+    def _note_trouble(self, trouble: str | None, now_s: float) -> None:
+        """Note the trouble of the link, and disarm after `MAX_TROUBLE_S` of it."""
+        if trouble is None:
+            self._trouble_since_s = math.inf
+        elif self._trouble is None or not self._trouble_since_s <= now_s:
+            self._trouble_since_s = now_s
+        elif now_s - self._trouble_since_s >= MAX_TROUBLE_S:
+            self._arm_state = self._arm_state.disarm()
+        self._trouble = trouble
 
     def _conflict(self, now_s: float) -> str | None:
         """Return the reason why the robot's identity is ambiguous, or None."""

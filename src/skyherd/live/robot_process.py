@@ -8,7 +8,7 @@ import numpy as np
 from skyherd.live.drivers import WORLD, Motion, RobotDriver, open_driver
 from skyherd.live.mailbox import Arrival, Mailbox
 from skyherd.live.process_context import HeartbeatTimer, ProcessContext, StatusLine
-from skyherd.live.robot_core import Order
+from skyherd.live.robot_core import DRIVING, Order
 from skyherd.live.wire import SESSION, Wheels
 from skyherd.messages import MotionGoals, VelocityCommand
 
@@ -100,24 +100,30 @@ def run_robot(context: ProcessContext, robot_id: int, *, dry_run: bool = False) 
                     timer.hear(arrival, robot_id, time.monotonic())
             timer.decided(time.monotonic())
             now_s = clock()
-            order = core.decide(now_s)
-            driver.send(
-                VelocityCommand(np.array([robot_id]), np.array([order.v_mps]), np.array([order.omega_radps]))
-            )
+            trouble = driver.trouble
+            order = core.decide(now_s, trouble)
+            driver.send(_command(robot_id, order), stop=core.latch.stop)
             news = {"order": order, "armed": core.armed, "image_age_s": core.image_age_s(now_s)}
-            process_log.put("/decide", now_s, news)
-            status.say(_line(core.name, order, driver.trouble or process_log.trouble))
+            process_log.put("/decide", now_s, news | {"trouble": trouble})
+            state = _state(order, trouble)
+            status.say("; ".join(filter(None, (f"{core.name}: {state}", process_log.trouble))))
             if heartbeats.due(now_s):
-                mailbox.send(core.heartbeat(now_s, order.reason + note))
+                mailbox.send(core.heartbeat(now_s, state + note, driver.halted))
                 process_log.put(
                     "/heartbeat", now_s, {"refused": mailbox.refusals.counts, "dropped": mailbox.dropped}
                 )
         process_log.put("/end", clock(), {})
 
 
-def _line(name: str, order: Order, trouble: str | None) -> str:
-    """Return the status line of a robot."""
-    return f"{name}: {order.reason}{f'; {trouble}' if trouble else ''}"
+def _command(robot_id: int, order: Order) -> VelocityCommand:
+    """Return the command of one robot."""
+    return VelocityCommand(np.array([robot_id]), np.array([order.v_mps]), np.array([order.omega_radps]))
+
+
+def _state(order: Order, trouble: str | None) -> str:
+    """Return the state of a robot, as a text: with trouble of its link it does not count as driving."""
+    reason = "" if trouble and order.reason in (DRIVING, trouble) else order.reason
+    return "; ".join(filter(None, (reason, trouble)))
 
 
 def _driver(context: ProcessContext, mailbox: Mailbox, robot_id: int, *, dry_run: bool) -> RobotDriver:

@@ -27,6 +27,9 @@ time of day reaches it in the year 2109, so that only forged messages contain it
 TAGS = 2**11
 """Number of different operator tags. Derived: the most that leave `MAX_STOP` for a century."""
 
+NOT_HALTED = -1
+"""Value of `Heartbeat.halted` while the link has not taken a zero last. Derived: below all stop numbers."""
+
 
 def stop_number(time_s: float, tag: int = 0) -> int:
     """Return the number of a stop at a time of day, s since 1970, by the operator with this tag."""

@@ -69,9 +69,9 @@ def run_unit(
             FrameLog(unit, pictures.image_rate_hz, pictures.image_width_px, side_m, meter)
         )
         preview = stack.enter_context(PreviewWriter(context.folder / PREVIEWS if previews else None, unit))
-        fly = _autopilot(context, mailbox, stack, unit, dry_run=dry_run)
+        autopilot = _autopilot(context, mailbox, stack, unit, dry_run=dry_run)
         at_work = UnitAtWork(
-            context, core, mailbox, reader, detector, fly, process_log, frame_log, preview, status
+            context, core, mailbox, reader, detector, autopilot, process_log, frame_log, preview, status
         )
         while not (context.ended() or reader.ended):
             frame = reader.newest(NEWEST_S)
@@ -85,6 +85,19 @@ def run_unit(
         process_log.put("/end", context.clock(), {})
 
 
+@dataclass(frozen=True)
+class Autopilot:
+    """Autopilot of a unit.
+
+    Attributes:
+        fly: called with each flight command.
+        trouble: returns the reason why its link takes no commands now, or None.
+    """
+
+    fly: Callable[[FlightCommand], object]
+    trouble: Callable[[], str | None] = lambda: None
+
+
 @dataclass
 class UnitAtWork:
     """Steps of a unit's cycle: receive messages, process the newest image, report, search the rest.
@@ -95,7 +108,7 @@ class UnitAtWork:
         mailbox: its messages.
         reader: reader of its camera.
         detector: marker detector.
-        fly: called with each flight command.
+        autopilot: its autopilot.
         process_log: its recording.
         frame_log: makes the preview images of the recording.
         preview: writes pictures for the page of the run.
@@ -107,7 +120,7 @@ class UnitAtWork:
     mailbox: Mailbox
     reader: CameraReader
     detector: Detector
-    fly: Callable[[FlightCommand], object]
+    autopilot: Autopilot
     process_log: ProcessLog
     frame_log: FrameLog
     preview: PreviewWriter
@@ -162,7 +175,7 @@ class UnitAtWork:
         sent_s = self.context.clock()
         view = None
         if news is not None:
-            self.fly(news.decision.flight)
+            self.autopilot.fly(news.decision.flight)
             view = view_of(news.decision, self.context.lab.template)
         stages = {
             "captured_s": frame.captured_s,
@@ -183,6 +196,7 @@ class UnitAtWork:
         troubles = (
             trouble or self.core.trouble,
             self.core.withheld(now_s),
+            self.autopilot.trouble(),
             self.frame_log.trouble,
             self.process_log.trouble,
         )
@@ -242,13 +256,13 @@ def _open(context: ProcessContext, status: StatusLine, address: str) -> CameraRe
 
 def _autopilot(
     context: ProcessContext, mailbox: Mailbox, stack: ExitStack, unit: int, *, dry_run: bool
-) -> Callable[[FlightCommand], object]:
-    """Return the function that sends the flight commands of a unit."""
+) -> Autopilot:
+    """Return the autopilot of a unit, which sends its flight commands."""
     address = context.lab.camera(unit).driver
     if address is None or dry_run:
-        return lambda command: None
+        return Autopilot(lambda command: None)
     if address == WORLD:
-        return mailbox.send
+        return Autopilot(mailbox.send)
     limits = context.lab.speed_limits
     driver = stack.enter_context(open_driver(address, robot_id=unit, limits=limits, flies=True))
-    return driver.send_flight
+    return Autopilot(driver.send_flight, lambda: driver.trouble)

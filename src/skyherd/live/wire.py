@@ -26,7 +26,7 @@ import orjson
 
 from skyherd.errors import MessageError
 from skyherd.geometry import IntArray
-from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, StopLatch
+from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, NOT_HALTED, StopLatch
 from skyherd.messages import FlightCommand, MotionGoals, Proximity, UnitReport
 from skyherd.messages.checks import check_time
 from skyherd.messages.frozen_arrays import freeze_ids
@@ -86,6 +86,8 @@ class Heartbeat:
         armed: whether the robot is armed.
         ready: whether the robot would accept an arm command now.
         lab: digest of the lab file of the process (`skyherd.live.lab.Lab.digest`); empty if it has none.
+        halted: largest stop number that the robot knew when its link last took a zero, with neither an error
+            nor another motion since; `NOT_HALTED` otherwise.
     """
 
     heard: Mapping[str, tuple[float, float]]
@@ -94,6 +96,7 @@ class Heartbeat:
     armed: bool = False
     ready: bool = False
     lab: str = ""
+    halted: int = NOT_HALTED
 
 
 @dataclass(frozen=True)

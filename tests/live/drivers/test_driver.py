@@ -1,6 +1,7 @@
 """Driver thread: repetition of fresh commands, watchdog, limits and input errors."""
 
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from skyherd.errors import InputError, MessageError
 from skyherd.live.drivers import STILL, Motion, RobotDriver, SpeedLimits, open_driver
 from skyherd.live.drivers.dry_run import DryRun
+from skyherd.live.stop_latch import NOT_HALTED
 from skyherd.messages import FlightCommand, VelocityCommand
 
 FAST = SpeedLimits(speed_mps=10, turn_radps=10, acceleration_mps2=1e6, turn_acceleration_radps2=1e6)
@@ -116,6 +118,86 @@ class TestRobotDriver:
         wire.broken = None
         steps.round()
         assert driver.trouble is None and driver.written == len(wire.written)
+
+    def test_exit_in_a_write_is_reported_and_retried(self, rig) -> None:
+        driver, wire, steps = rig
+        wire.broken = SystemExit(3)
+        steps.round()
+        assert driver.trouble == "wire: cannot be written to: SystemExit 3" and driver.failed == 1
+        wire.broken = None
+        steps.round()
+        assert driver.trouble is None and driver._thread.is_alive()
+
+    def test_speed_grows_from_zero_after_a_failed_write(self) -> None:
+        wire, steps = Wire(), Steps()
+        limits = SpeedLimits(speed_mps=10, turn_radps=10, acceleration_mps2=1.0, turn_acceleration_radps2=2.0)
+        driver = RobotDriver(
+            wire, robot_id=3, limits=limits, rate_hz=16, hold_s=9, clock=steps.clock, pause=steps.pause
+        )
+        steps.begin()
+        driver.send_motion(Motion(5.0, -5.0))
+        for is_broken in (False, False, True, True, True, False):
+            wire.broken = OSError(5, "Input/output error") if is_broken else None
+            steps.round()
+        steps.end()
+        driver.close()
+        assert wire.written[2:7] == [
+            Motion(2 / 16, -2 / 8),
+            Motion(3 / 16, -3 / 8),
+            *[Motion(1 / 16, -1 / 8)] * 3,
+        ]
+
+    def test_halted_is_the_stop_known_at_the_last_zero(self, rig) -> None:
+        driver, wire, steps = rig
+        assert driver.halted == NOT_HALTED, "no command yet"
+        driver.send_motion(STILL, stop=7)
+        assert driver.halted == NOT_HALTED, "not written yet"
+        steps.round()
+        assert driver.halted == 7
+        driver.send_motion(Motion(1.0, 0.0), stop=7)
+        steps.round()
+        assert driver.halted == NOT_HALTED
+        driver.send_motion(STILL, stop=8)
+        wire.broken = OSError(5, "Input/output error")
+        steps.round()
+        assert driver.halted == NOT_HALTED
+        wire.broken = None
+        steps.round()
+        assert driver.halted == 8
+        wire.broken = OSError(5, "Input/output error")
+        steps.round()
+        assert driver.halted == NOT_HALTED, "the last write failed"
+
+    def test_blocked_write_is_trouble_after_the_hold(self) -> None:
+        """After it, the speed grows from zero: the watchdog of the robot has stopped it meanwhile."""
+        wire, now_s = Stuck(), [0.0]
+        wire.held.set()
+        limits = SpeedLimits(acceleration_mps2=0.1)
+        driver = RobotDriver(wire, robot_id=0, limits=limits, hold_s=0.5, clock=lambda: now_s[0])
+        driver.send_motion(STILL, stop=5)
+        while driver.halted != 5:
+            time.sleep(0.001)
+        wire.held.clear()
+        wire.entered.clear()
+        assert wire.entered.wait(10)
+        driver._limiter.last = Motion(0.3, 0.0)
+        now_s[0] = 0.5
+        assert driver.trouble is None
+        now_s[0] = 3.5
+        driver.send_motion(Motion(0.3, 0.0), stop=5)
+        assert driver.trouble == "wire: a write has blocked for 3.5 s"
+        wire.held.set()
+        while driver.trouble is not None:
+            time.sleep(0.001)
+        driver.close()
+        assert max(motion.forward_mps for motion in wire.written) <= 0.1 * 0.2 + 1e-12
+
+    @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+    def test_dead_thread_is_trouble(self) -> None:
+        driver = RobotDriver(Wire(), robot_id=0, limits=FAST, pause=lambda seconds: 1 / 0)
+        driver._thread.join(10)
+        assert driver.trouble == "wire: the thread that writes has ended" and driver.halted == NOT_HALTED
+        driver.close()
 
     def test_commands_are_limited_before_writing(self, rig) -> None:
         driver, wire, steps = rig

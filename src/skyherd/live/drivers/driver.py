@@ -11,6 +11,7 @@ from skyherd.errors import InputError, MessageError
 from skyherd.live.drivers.limits import LIMITS, Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Link, Motion
 from skyherd.live.live_clock import steady_s
+from skyherd.live.stop_latch import NOT_HALTED
 from skyherd.messages import FlightCommand, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
@@ -37,7 +38,8 @@ class RobotDriver:
     """Driver of one robot with a watchdog: it repeats the last command while fresh, and then sends zero.
 
     A separate thread writes at a steady rate. `send` only replaces the command, and never blocks. Without
-    further calls the robot stops. The driver limits each motion before it writes it.
+    further calls the robot stops. The driver limits each motion before it writes it. After a failed write, and
+    after one that blocked for longer than the watchdog time, the speed grows from zero again.
 
     Args:
         link: connection to the robot.
@@ -75,8 +77,10 @@ class RobotDriver:
         self.name = link.name
         self.written = self.failed = 0
         self._link, self._limiter, self._clock = link, Limiter(limits), clock
-        self._wanted, self._sent_s = STILL, float("-inf")
+        self._wanted, self._sent_s, self._stop = STILL, float("-inf"), NOT_HALTED
         self._written_s = clock()
+        self._writing_since_s: float | None = None
+        self._halted = NOT_HALTED
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._news = threading.Event()
@@ -85,8 +89,12 @@ class RobotDriver:
         self._thread = threading.Thread(target=self._run, name=f"driver {self.name}", daemon=True)
         self._thread.start()
 
-    def send(self, command: VelocityCommand) -> None:
+    def send(self, command: VelocityCommand, *, stop: int = 0) -> None:
         """Set the command to this robot's row of a team's command.
+
+        Args:
+            command: the command of the team.
+            stop: see `send_motion`.
 
         Raises:
             MessageError: the command has no row for this robot.
@@ -95,7 +103,7 @@ class RobotDriver:
         if self.robot_id not in ids:
             raise MessageError(f"VelocityCommand.ids: {ids}, expected {self.robot_id} among them")
         row = ids.index(self.robot_id)
-        self.send_motion(Motion(command.v_mps[row], command.omega_radps[row]))
+        self.send_motion(Motion(command.v_mps[row], command.omega_radps[row]), stop=stop)
 
     def send_flight(self, command: FlightCommand) -> None:
         """Set the command to a flight command. The camera looks down, and the top of its image is ahead.
@@ -115,15 +123,39 @@ class RobotDriver:
             )
         )
 
-    def send_motion(self, motion: Motion) -> None:
-        """Set the command to a motion with arbitrary values; the driver limits them before it writes."""
+    def send_motion(self, motion: Motion, *, stop: int = 0) -> None:
+        """Set the command to a motion with arbitrary values; the driver limits them before it writes.
+
+        Args:
+            motion: the motion.
+            stop: largest stop number known to the sender, which `halted` returns after a zero.
+        """
         with self._lock:
-            self._wanted, self._sent_s = motion, self._clock()
+            self._wanted, self._sent_s, self._stop = motion, self._clock(), stop
         self._news.set()
 
     @property
+    def halted(self) -> int:
+        """Stop number with the last zero that the link took without an error; `NOT_HALTED` after other writes.
+
+        The write began after the number was known. A write that failed, or that was not zero, came before.
+        """
+        return self._halted
+
+    @property
     def trouble(self) -> str | None:
-        """Reason why the last motion could not be written, in one line; None after a success."""
+        """Reason why motions are not written now, in one line; None after a success.
+
+        A write that failed, a write that has blocked for longer than the watchdog time, or a thread that has
+        ended before `close`.
+        """
+        since_s = self._writing_since_s
+        if self._closing.is_set():
+            return self._trouble
+        if not self._thread.is_alive():
+            return f"{self.name}: the thread that writes has ended"
+        if since_s is not None and (blocked_s := self._clock() - since_s) > self.hold_s:
+            return f"{self.name}: a write has blocked for {blocked_s:.1f} s"
         return self._trouble
 
     def close(self) -> None:
@@ -153,11 +185,11 @@ class RobotDriver:
         """Write at a steady rate until `close`. Zero is written last, also after an error."""
         try:
             while not self._closing.is_set():
-                self._write(self._due())
+                self._write(*self._due())
                 self._pause(1 / self.rate_hz)
         finally:
             for _ in range(STOPS):
-                self._write(STILL)
+                self._write(STILL, NOT_HALTED)
             self._link.close()
 
     def _await_news(self, seconds: float) -> None:
@@ -166,22 +198,35 @@ class RobotDriver:
             self._news.wait((1 - MIN_SHARE) * seconds)
         self._news.clear()
 
-    def _due(self) -> Motion:
-        """Return the last command, or zero if it is stale."""
+    def _due(self) -> tuple[Motion, int]:
+        """Return the last command, or zero if it is stale, and the stop number known with it."""
         with self._lock:
             age_s = self._clock() - self._sent_s
-            return self._wanted if 0 <= age_s < self.hold_s else STILL
+            return (self._wanted if 0 <= age_s < self.hold_s else STILL), self._stop
 
-    def _write(self, motion: Motion) -> None:
+    def _write(self, motion: Motion, stop: int) -> None:
         """Limit and write a motion. Count failures, and keep the reason of the last one."""
         now_s = self._clock()
         allowed = self._limiter.limit(motion, now_s - self._written_s)
-        self._written_s = now_s
+        self._written_s = self._writing_since_s = now_s
         self.written += 1
+        if allowed != STILL:
+            self._halted = NOT_HALTED
         try:
             self._link.write(replace(allowed, flies=self.flies))
-            self._trouble = None
-        except Exception as error:  # A custom link may raise anything, and zero must still be tried.
+        except BaseException as error:
+            # A custom link may raise anything, also SystemExit, and zero must still be tried. Signals
+            # interrupt the main thread alone.
             self.failed += 1
+            self._halted, self._limiter.last = NOT_HALTED, STILL
             words = " ".join(str(getattr(error, "strerror", None) or error).split())
-            self._trouble = f"{self.name}: cannot be written to: {words or type(error).__name__}"
+            words = words if words and isinstance(error, Exception) else f"{type(error).__name__} {words}"
+            self._trouble = f"{self.name}: cannot be written to: {words.strip()}"
+        else:
+            self._trouble = None
+            if allowed == STILL:
+                self._halted = stop
+            elif not 0 <= self._clock() - now_s <= self.hold_s:
+                self._limiter.last = STILL  # The robot's own watchdog has stopped it meanwhile.
+        finally:
+            self._writing_since_s = None

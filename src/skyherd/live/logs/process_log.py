@@ -6,7 +6,7 @@ The file has all inputs in their order, so that `skyherd.live.logs.replay` repro
     /heard       a received message: envelope and time of arrival
     /detections  unit: detected markers of an image, and the time of the decision on them
     /heartbeat   time of a heartbeat, and counts of refused and dropped messages
-    /decide      robot: a decision with its time, wheel command and arm state
+    /decide      robot: a decision with its time, trouble of the link, wheel command and arm state
     /sent        unit: the messages sent after an image
     /view        unit: goals and shape error of an image
     /stages      unit: times of capture, arrival, detection and decision of an image

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from skyherd.errors import InputError
 from skyherd.live.lab import Lab, make_lab
@@ -60,7 +61,7 @@ def replay(path: Path) -> Replayed:
         elif topic == "/sent" or (topic == "/decide" and isinstance(core, RobotCore)):
             decisions += 1
             recorded = to_json(record["messages"] if topic == "/sent" else record["order"])
-            replayed = pending if isinstance(core, UnitCore) else to_json(core.decide(record["now_s"]))
+            replayed = pending if isinstance(core, UnitCore) else _decide(core, record)
             if recorded != replayed:
                 different += 1
                 first_s = record["now_s"] if first_s is None else first_s
@@ -69,6 +70,11 @@ def replay(path: Path) -> Replayed:
     if core is None:
         raise InputError(str(path), "no record of a live process", "a file of `skyherd live run`")
     return Replayed(name, decisions, different, first_s, ended)
+
+
+def _decide(core: RobotCore, record: dict[str, Any]) -> bytes:
+    """Return the order of a robot for a record of its decision."""
+    return to_json(core.decide(record["now_s"], record["trouble"]))
 
 
 def _core(name: str, lab: Lab, *, supervised: bool) -> RobotCore | UnitCore:

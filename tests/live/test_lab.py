@@ -141,7 +141,7 @@ def test_checks_of_a_lab_report_all_problems_together(webcams) -> None:
         ("serial://dev/ttyUSB0", "no port"),
         ("serial:///dev/nope?baud=x", "baud 'x'; a number of bits a second"),
         ("serial:///dev/nope?baud=0", "baud '0'"),
-        ("serial:///dev/nope?speed=9600", "option 'speed'; baud alone"),
+        ("serial:///dev/nope?speed=9600", "option 'speed'; baud and pty"),
         ("ros2://a:99999/cmd_vel", "Port out of range"),
         ("ros2:///cmd_vel?type=Pose", "Twist or TwistStamped"),
     ],

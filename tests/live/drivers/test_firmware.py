@@ -206,7 +206,7 @@ class TestMicropython:
         ours, theirs = os.openpty()
         with (
             running(tmp_path, "serial_robot.py", stdin=ours) as robot,
-            open_driver(f"serial://{os.ttyname(theirs)}", robot_id=0) as driver,
+            open_driver(f"serial://{os.ttyname(theirs)}?pty=yes", robot_id=0) as driver,
         ):
             assert robot.drives_at((0.0, 0.0))
             time.sleep(0.2)

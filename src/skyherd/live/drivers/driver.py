@@ -38,8 +38,8 @@ class RobotDriver:
     """Driver of one robot with a watchdog: it repeats the last command while fresh, and then sends zero.
 
     A separate thread writes at a steady rate. `send` only replaces the command, and never blocks. Without
-    further calls the robot stops. The driver limits each motion before it writes it. After a failed write, and
-    after one that blocked for longer than the watchdog time, the speed grows from zero again.
+    further calls the robot stops. The driver limits each motion before it writes it. After a failed write,
+    and after one that blocked for longer than the watchdog time, the speed grows from zero again.
 
     Args:
         link: connection to the robot.
@@ -136,9 +136,9 @@ class RobotDriver:
 
     @property
     def halted(self) -> int:
-        """Stop number with the last zero that the link took without an error; `NOT_HALTED` after other writes.
+        """Stop number with the last write if the link took it as a zero without an error; else `NOT_HALTED`.
 
-        The write began after the number was known. A write that failed, or that was not zero, came before.
+        The number was known before the write began.
         """
         return self._halted
 

@@ -7,6 +7,8 @@ and the turn rate in rad/s, counter-clockwise. After the star follows the exclus
 in two hexadecimal digits. The line of a flying unit is `F,robot,number,forward,left,up,turn*HH`.
 """
 
+import os
+import re
 import socket
 from functools import reduce
 from operator import xor
@@ -26,6 +28,10 @@ WRITE_S = 0.2
 WAITING_BYTES = 64
 """Bytes in the output buffer above which a line is dropped. *Chosen*: about two lines."""
 
+PSEUDO = re.compile(r"/dev/(pts/|ttys)\d+")
+"""Pseudo-terminals of Linux and macOS. They report an empty output buffer, so that a reader that is held gets
+commands of many seconds later."""
+
 MAX_BAUD = 100_000_000
 """Largest speed of a serial port, bit/s. *Chosen*: above any real one."""
 
@@ -38,10 +44,11 @@ class UdpPlace(NamedTuple):
 
 
 class SerialPlace(NamedTuple):
-    """A serial port and its speed, bit/s."""
+    """A serial port, its speed, bit/s, and whether it may be a pseudo-terminal."""
 
     path: str
     baud: int
+    allows_pseudo: bool = False
 
 
 def udp_place(address: str, robot_id: int) -> UdpPlace:
@@ -60,21 +67,36 @@ def udp_place(address: str, robot_id: int) -> UdpPlace:
 def serial_place(address: str, robot_id: int) -> SerialPlace:
     """Return the port and speed of `serial:///dev/ttyACM0?baud=57600`. `robot_id` is not used.
 
-    The port need not exist.
+    The port need not exist. A pseudo-terminal needs the option `pty=yes`.
 
     Raises:
-        InputError: the port is missing, an option is unknown, or the speed is invalid.
+        InputError: the port is missing or a pseudo-terminal, an option is unknown, or the speed is invalid.
     """
     parts, where, example = urlsplit(address), f"driver {address}", "serial:///dev/ttyUSB0?baud=115200"
     options = dict(parse_qsl(parts.query, keep_blank_values=True))
     if not parts.path.strip("/") or parts.netloc:
         raise InputError(where, "no port", example)
-    if unknown := sorted(set(options) - {"baud"}):
-        raise InputError(where, f"option {unknown[0]!r}", f"baud alone, as in {example}")
+    if unknown := sorted(set(options) - {"baud", "pty"}):
+        raise InputError(where, f"option {unknown[0]!r}", f"baud and pty, as in {example}")
     baud = options.get("baud", str(BAUD))
     if not baud.isdecimal() or not 0 < int(baud) <= MAX_BAUD:
         raise InputError(where, f"baud {baud!r}", f"a number of bits a second, as in {example}")
-    return SerialPlace(parts.path, int(baud))
+    if (pseudo := options.get("pty", "no")) not in ("yes", "no"):
+        raise InputError(where, f"pty {pseudo!r}", "yes or no")
+    place = SerialPlace(parts.path, int(baud), pseudo == "yes")
+    _check_pseudo(place, where)
+    return place
+
+
+def _check_pseudo(place: SerialPlace, where: str) -> None:
+    """Refuse a pseudo-terminal unless the user allows it.
+
+    Raises:
+        InputError: the port is one.
+    """
+    if not place.allows_pseudo and PSEUDO.fullmatch(os.path.realpath(place.path)):
+        what = "a pseudo-terminal, which keeps commands of many seconds for a reader that is held"
+        raise InputError(where, what, "a serial port, or ?pty=yes if the reader drops old lines")
 
 
 def line_of(robot_id: int, number: int, motion: Motion) -> bytes:
@@ -124,24 +146,29 @@ class SerialLines:
     """Link that writes lines to a serial port, and reopens it after a failure.
 
     Args:
-        address: `serial:///dev/ttyUSB0`, `serial:///dev/ttyACM0?baud=57600`.
+        address: `serial:///dev/ttyUSB0`, `serial:///dev/ttyACM0?baud=57600`; `?pty=yes` allows a
+            pseudo-terminal.
         robot_id: the robot.
 
     Raises:
-        InputError: the port cannot be opened, or pyserial is not installed.
+        InputError: the port cannot be opened or is a pseudo-terminal, or pyserial is not installed.
     """
 
     def __init__(self, address: str, robot_id: int) -> None:
-        self._path, self._baud = serial_place(address, robot_id)
+        self._place = serial_place(address, robot_id)
         self._serial = import_extra("serial", "pyserial", f"driver {address}", "live")
         self.name, self._robot, self._number = address, robot_id, 0
         try:
             self._port: Any = self._open()
+        except InputError:
+            raise
         except (OSError, ValueError) as error:
             raise InputError(f"driver {address}", _words(error), "an existing serial port") from None
 
     def _open(self) -> Any:
-        return self._serial.Serial(self._path, self._baud, write_timeout=WRITE_S, exclusive=True)
+        _check_pseudo(self._place, f"driver {self.name}")
+        path, baud = self._place.path, self._place.baud
+        return self._serial.Serial(path, baud, write_timeout=WRITE_S, exclusive=True)
 
     def write(self, motion: Motion) -> None:
         """Write a motion as a line; see `Link.write`."""

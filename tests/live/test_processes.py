@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,14 @@ import pytest
 from live_processes import PATIENCE_S, free_port, wait_for
 from mcap.reader import make_reader
 
-from skyherd.errors import InputError
+from skyherd.cli import live_processes, main
+from skyherd.cli.interrupts import SignalReceived
+from skyherd.errors import InputError, OutputError
 from skyherd.live.cameras import open_camera
 from skyherd.live.lab import LabRadio, lab_text
 from skyherd.live.logs.replay import replay
 from skyherd.live.review import make_live_report
-from skyherd.live.supervisor import Child, Supervisor
+from skyherd.live.supervisor import DONE, Child, Supervisor
 from skyherd.live.world.camera_stream import CameraStream, _yuv
 
 
@@ -193,6 +196,70 @@ class TestZenohRadio:
             other.kill()
             other.wait()
             radio.close()
+
+
+@pytest.mark.parametrize("verb", ["unit", "robot"])
+@pytest.mark.parametrize(
+    "error",
+    [
+        OSError(24, "Too many open files"),
+        MemoryError(),
+        ConnectionResetError(104, "reset"),
+        TimeoutError(),
+        OutputError("disk full"),
+        SystemExit(0),
+        SystemExit(2),
+        KeyboardInterrupt(),
+    ],
+)
+def test_only_refused_input_ends_a_supervised_process(monkeypatch, verb, error) -> None:
+    """An uncaught error ends Python with code 1, after which the supervisor restarts the process."""
+    raised = error
+
+    @contextmanager
+    def process(*options):
+        raise raised
+        yield
+
+    monkeypatch.setattr(live_processes, "_process", process)
+    with pytest.raises(live_processes.Crash, match=type(error).__name__):
+        main([verb, "triangle", "0", "--supervised"])
+    for raised in (InputError("camera", "no file", "one that exists"), SignalReceived("SIGTERM")):
+        with pytest.raises(SystemExit) as ended:
+            main([verb, "triangle", "0", "--supervised"])
+        assert ended.value.code in DONE
+    raised = OSError(24, "Too many open files")
+    with pytest.raises(SystemExit) as ended:
+        main([verb, "triangle", "0"])
+    assert ended.value.code == 2, "by hand, the error is one line"
+
+
+def test_restart_without_resources_is_tried_again(tmp_path, monkeypatch) -> None:
+    said = []
+    supervisor = Supervisor(tmp_path / "live.log", said.append)
+    robot = Child("robot/1", [sys.executable, "-c", "raise SystemExit(7)"])
+    supervisor.take(robot)
+    wait_for(lambda: (supervisor.tend(), robot.process is None)[1], "an end")
+    start, failures = subprocess.Popen, [OSError(24, "Too many open files"), RuntimeError("no new thread")]
+
+    def popen(*arguments, **options):
+        if failures:
+            raise failures.pop(0)
+        return start(*arguments, **options)
+
+    monkeypatch.setattr("skyherd.live.supervisor.subprocess.Popen", popen)
+    robot.again_s = 0.0
+    supervisor.tend()
+    assert "cannot be started: Too many open files; restarts in 2 s" in said[-1] and supervisor.is_active()
+    supervisor.tend()
+    assert robot.process is None and len(failures) == 1, "not before the pause"
+    robot.again_s = 0.0
+    supervisor.tend()
+    assert "cannot be started: no new thread; restarts in 4 s" in said[-1] and robot.restarts == 0
+    robot.again_s = 0.0
+    supervisor.tend()
+    assert robot.process is not None and robot.restarts == 1
+    supervisor.end()
 
 
 @pytest.mark.slow

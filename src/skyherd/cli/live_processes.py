@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from skyherd.cli.console import say
-from skyherd.cli.interrupts import EndRequest, signals_as_requests
+from skyherd.cli.interrupts import EndRequest, SignalReceived, signals_as_requests
 from skyherd.cli.live import Insecure, LabFile, Settings, joined_team
+from skyherd.errors import InputError
 
 if TYPE_CHECKING:
     from skyherd.live.process_context import ProcessContext
@@ -30,6 +31,27 @@ def _read_to_end(request: EndRequest) -> None:
         while os.read(sys.stdin.fileno(), 4096):
             pass
     request.ask()
+
+
+class Crash(Exception):
+    """Error of a supervised process other than refused input. It ends the program as a crash does, with code 1."""
+
+
+@contextmanager
+def _crashing(supervised: bool) -> Iterator[None]:
+    """Turn all errors of a supervised process except InputError into a crash, after which it is restarted.
+
+    The command line ends with code 2 after OSError and MemoryError, and with any code after SystemExit. The
+    supervisor does not restart a process with such a code, but causes such as a lack of file descriptors pass.
+    """
+    try:
+        yield
+    except (InputError, SignalReceived):
+        raise
+    except BaseException as error:
+        if not supervised:
+            raise
+        raise Crash(f"{type(error).__name__}: {error}") from error
 
 
 def _tell(line: str) -> None:
@@ -78,10 +100,13 @@ def unit(
     clock_offset_s: Offset = 0.0,
 ) -> int:
     """Run one aerial unit of a lab until Ctrl-C: its camera in, goals for its robots out."""
-    from skyherd.live.unit_process import run_unit
-
     name = f"unit/{number}"
-    with _process(lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s) as (context, end):
+    with (
+        _crashing(supervised),
+        _process(lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s) as (context, end),
+    ):
+        from skyherd.live.unit_process import run_unit
+
         run_unit(context, number, address=camera, dry_run=dry_run, previews=preview)
     return end.exit_code
 
@@ -99,10 +124,13 @@ def robot(
     clock_offset_s: Offset = 0.0,
 ) -> int:
     """Run one robot process. It starts disarmed and stops on Ctrl-C."""
-    from skyherd.live.robot_process import run_robot
-
     name = f"robot/{marker}"
-    with _process(lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s) as (context, end):
+    with (
+        _crashing(supervised),
+        _process(lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s) as (context, end),
+    ):
+        from skyherd.live.robot_process import run_robot
+
         run_robot(context, marker, dry_run=dry_run)
     return end.exit_code
 

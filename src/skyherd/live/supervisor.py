@@ -94,8 +94,7 @@ class Supervisor:
         for child in self.children:
             if child.process is None:
                 if child.code not in DONE and time.monotonic() >= child.again_s:
-                    child.restarts += 1
-                    self._start(child)
+                    self._restart(child)
                 continue
             code = child.process.poll()
             if code is None:
@@ -107,9 +106,23 @@ class Supervisor:
                 self.say(child.name, f"ended with code {code}")
                 continue
             ran_s = time.monotonic() - child.started_s
-            child.wait_s = FIRST_WAIT_S if ran_s >= STEADY_S else min(2 * child.wait_s, MAX_WAIT_S)
-            child.again_s = time.monotonic() + child.wait_s
-            self.say(child.name, f"ended with code {code}; restarts in {child.wait_s:g} s")
+            self._restart_later(child, f"ended with code {code}", first=ran_s >= STEADY_S)
+
+    def _restart(self, child: Child) -> None:
+        """Start a crashed process again, or try it later if the machine lacks a resource now."""
+        try:
+            self._start(child)
+        except (OSError, RuntimeError) as error:  # RuntimeError: no further thread can be started.
+            words = getattr(error, "strerror", None) or error
+            self._restart_later(child, f"cannot be started: {words}", first=False)
+        else:
+            child.restarts += 1
+
+    def _restart_later(self, child: Child, why: str, *, first: bool) -> None:
+        """Choose the next pause before a restart."""
+        child.wait_s = FIRST_WAIT_S if first else min(2 * child.wait_s, MAX_WAIT_S)
+        child.again_s = time.monotonic() + child.wait_s
+        self.say(child.name, f"{why}; restarts in {child.wait_s:g} s")
 
     def is_active(self, prefix: str = "") -> bool:
         """Return whether a process whose name begins with `prefix` runs or will be restarted."""
@@ -162,7 +175,7 @@ class Supervisor:
 
     def _start(self, child: Child) -> None:
         child.code, child.started_s = None, time.monotonic()
-        child.process = subprocess.Popen(
+        process = subprocess.Popen(
             child.command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -171,7 +184,13 @@ class Supervisor:
             errors="replace",
             start_new_session=True,  # Ctrl-C reaches only this process, which then ends the others in order.
         )
-        threading.Thread(target=self._read, args=(child.name, child.process.stdout), daemon=True).start()
+        try:
+            threading.Thread(target=self._read, args=(child.name, process.stdout), daemon=True).start()
+        except RuntimeError:
+            with process:  # It closes the pipes, and waits.
+                process.kill()
+            raise
+        child.process = process
 
     def _read(self, name: str, lines: IO[str]) -> None:
         with lines:

@@ -11,7 +11,7 @@ from skyherd.control.avoidance.speed_bound import AvoidanceRule
 from skyherd.control.policy import Delivery, RobotTeam, TeamOrders
 from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.latency_compensation import LatencyCompensation
-from skyherd.control.robots.unicycle import RobotLaw, Wheels, robot_commands
+from skyherd.control.robots.unicycle import RobotLaw, Wheels, finite_command, robot_commands
 from skyherd.control.team_clock import TeamClock
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import MotionGoals, VelocityCommand, among
@@ -110,4 +110,4 @@ class GoalFollowers(RobotTeam):
             time_s=time_s + lead_s,
             driven=np.asarray(inboxes.fresh(time_s).any(axis=0)),
         )
-        return VelocityCommand(inboxes.ids, v_mps, omega_radps)
+        return finite_command(inboxes.ids, v_mps, omega_radps)

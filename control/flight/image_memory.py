@@ -10,6 +10,7 @@ from skyherd.control.formation.template import Template
 from skyherd.errors import DegenerateSetError
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex, to_points
 from skyherd.messages import Detections, UnitReport, centred
+from skyherd.messages.ids import find_rows
 
 
 @dataclass
@@ -55,12 +56,15 @@ class ImageMemory:
             placed, reports = self._place_reported(reports, in_view)
             if not (placed and reports):
                 break
-            in_view[self.rows(np.concatenate([report.ids for report in placed]))] = True
+            rows, known = find_rows(self.template.ids, np.concatenate([report.ids for report in placed]))
+            in_view[rows[known]] = True
 
     def _place_reported(
         self, reports: Sequence[UnitReport], in_view: BoolArray
     ) -> tuple[list[UnitReport], list[UnitReport]]:
         """Compute positions of robots that only other units see; the last report of a robot is used.
+
+        Ids that are not in the template are ignored.
 
         Args:
             reports: reports of other units.
@@ -71,8 +75,9 @@ class ImageMemory:
             ones.
         """
         sender = np.repeat(np.arange(len(reports)), [report.ids.size for report in reports])
-        rows = self.rows(np.concatenate([report.ids for report in reports]))
+        rows, known = find_rows(self.template.ids, np.concatenate([report.ids for report in reports]))
         points = to_complex(np.concatenate([report.points_px for report in reports]))
+        sender, rows, points = sender[known], rows[known], points[known]
         common = in_view[rows]
         images = fit_similarities(
             points[common], self.points_px[rows[common]], group=sender[common], groups=len(reports)

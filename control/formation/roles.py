@@ -90,7 +90,12 @@ class Roles:
         """Change to the newest map in the reports if it is newer than the unit's own."""
         if self.rule is None:
             return
-        received = [report.roles for report in reports if report.roles is not None]
+        robots = self.map.roles.size
+        received = [
+            report.roles
+            for report in reports
+            if report.roles is not None and report.roles.roles.size == robots
+        ]
         newest = max(received, key=lambda role_map: role_map.precedence, default=self.map)
         if newest.precedence > self.map.precedence:
             self._use(newest)

@@ -27,6 +27,11 @@ MIN_SHARE = 0.01
 template's. Chosen: one in 2500 random starts of six robots is below, as the share explained is Beta(1, 4)."""
 
 
+MAX_SCALE = 1e30
+"""Largest scale of a fit. Chosen: above the ratio of any two images; coordinates of 1e6 px stay finite to the
+eighth power."""
+
+
 @dataclass(frozen=True)
 class Similarity:
     """Map `z ↦ factor (z - source) + target`, from centroid to centroid.
@@ -91,6 +96,8 @@ def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
     if np.abs(current_c).max() <= COINCIDENT * np.abs(current).max():
         raise DegenerateSetError("all current points coincide; at least two must differ")
     factor = complex(np.vdot(template_c, current_c) / spread)
+    if not abs(factor.real) + abs(factor.imag) <= MAX_SCALE:
+        raise DegenerateSetError("the template points nearly coincide; at least two must differ")
     if abs(factor) ** 2 * spread <= VANISHING**2 * np.vdot(current_c, current_c).real:
         raise SingularSetError("the best-fitting similarity has size zero, so no rotation fits best")
     return Similarity(factor, complex(source), complex(target))
@@ -180,6 +187,7 @@ def fit_similarities(
     exist &= largest(current_c) > COINCIDENT * largest(current)
     exist &= explained > VANISHING**2 * spread * total(current_c.real**2 + current_c.imag**2)
     factors = product / np.where(exist, spread, 1.0)
+    exist &= np.abs(factors.real) + np.abs(factors.imag) <= MAX_SCALE
     return Similarities(factors=np.where(exist, factors, 0), sources=sources, targets=targets, exist=exist)
 
 

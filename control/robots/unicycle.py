@@ -12,7 +12,7 @@ import numpy as np
 
 from skyherd.control.robots.goal_fusion import GoalInboxes, fuse_marker_sides, fuse_pixels
 from skyherd.errors import InputError
-from skyherd.geometry import Array, ComplexArray, wrap_angle
+from skyherd.geometry import Array, ComplexArray, IntArray, wrap_angle
 from skyherd.messages import VelocityCommand
 from skyherd.messages.checks import check_kind, check_numbers, shown
 
@@ -211,5 +211,10 @@ def robot_commands(
     check_kind("robot_commands: inboxes", inboxes, GoalInboxes, "GoalInboxes")
     if not callable(getattr(law, "follow", None)):
         raise InputError("robot_commands: law", shown(law), "a RobotLaw, such as MarkerGains")
-    v_mps, omega_radps = wheel_law(law.follow(inboxes, time_s), law, wheels)
-    return VelocityCommand(inboxes.ids, v_mps, omega_radps)
+    return finite_command(inboxes.ids, *wheel_law(law.follow(inboxes, time_s), law, wheels))
+
+
+def finite_command(ids: IntArray, v_mps: Array, omega_radps: Array) -> VelocityCommand:
+    """Return the command of robots (N,), with zero for those whose speed or turn rate is not finite."""
+    finite = np.isfinite(v_mps) & np.isfinite(omega_radps)
+    return VelocityCommand(ids, np.where(finite, v_mps, 0.0), np.where(finite, omega_radps, 0.0))

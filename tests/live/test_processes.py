@@ -214,21 +214,22 @@ class TestZenohRadio:
 )
 def test_only_refused_input_ends_a_supervised_process(monkeypatch, verb, error) -> None:
     """An uncaught error ends Python with code 1, after which the supervisor restarts the process."""
-    raised = error
+    raised = [error]
 
     @contextmanager
     def process(*options):
-        raise raised
+        raise raised[-1]
         yield
 
     monkeypatch.setattr(live_processes, "_process", process)
     with pytest.raises(live_processes.Crash, match=type(error).__name__):
         main([verb, "triangle", "0", "--supervised"])
-    for raised in (InputError("camera", "no file", "one that exists"), SignalReceived("SIGTERM")):
+    for other in (InputError("camera", "no file", "one that exists"), SignalReceived("SIGTERM")):
+        raised.append(other)
         with pytest.raises(SystemExit) as ended:
             main([verb, "triangle", "0", "--supervised"])
         assert ended.value.code in DONE
-    raised = OSError(24, "Too many open files")
+    raised.append(OSError(24, "Too many open files"))
     with pytest.raises(SystemExit) as ended:
         main([verb, "triangle", "0"])
     assert ended.value.code == 2, "by hand, the error is one line"

@@ -1,15 +1,17 @@
 """A live unit with a clock offset: team time for slots, own time for robots, and withheld goals."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from skyherd.live.lab import load_lab
 from skyherd.live.peers import CONFLICT_S
+from skyherd.live.plausible import Roster
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import KIND_OF, Envelope, Heartbeat
-from skyherd.messages import FlightCommand
+from skyherd.messages import FlightCommand, RoleMap, TreeStatus, UnitReport
+from skyherd.messages.ids import NO_ID
 
 pytestmark = pytest.mark.smoke
 
@@ -92,6 +94,54 @@ class TestTime:
         own_s = 102.2
         news = team.cores[0].see(replace(team.image, time_s=own_s), own_s)
         assert news.decision.report.time_s == own_s
+
+
+class TestUnknownIds:
+    def report(self, make_detections, **changes):
+        team = TwoUnits(make_detections, (0.0, 0.0))
+        team.run(2.0)
+        last = team.decisions[1][-1].report
+        tree = replace(last.tree, **changes.pop("tree")) if "tree" in changes else last.tree
+        team.tell(0, 102.0, replace(last, time_s=102.0, tree=tree, **changes))
+        own_s = 102.2
+        news = team.cores[0].see(replace(team.image, time_s=own_s), own_s)
+        assert news.decision.report is not None
+        team.tell(0, 102.3, replace(last, time_s=102.3, tree=tree, **changes))
+        return team.cores[0].trouble
+
+    @pytest.mark.parametrize("robot", [49, 2**62])
+    @pytest.mark.parametrize("field", ["controlled_ids", "secure_ids"])
+    def test_report_with_unknown_robots_is_ignored(self, make_detections, field, robot) -> None:
+        assert self.report(make_detections) == ""
+        changes = {field: np.array([0, robot])}
+        assert self.report(make_detections, **changes) == f"report of unit/1 with unknown ids ({field})"
+
+    def test_report_of_a_marker_beyond_the_lab_is_ignored(self, make_detections) -> None:
+        changes = {"ids": np.array([0, 49]), "points_px": np.zeros((2, 2))}
+        assert "unknown ids (ids)" in self.report(make_detections, **changes)
+
+    def test_role_map_of_another_team_is_ignored(self, make_detections) -> None:
+        roles = RoleMap(9, 1, np.arange(3))
+        assert "unknown ids (roles)" in self.report(make_detections, roles=roles)
+
+    def test_tree_with_unknown_ids_is_ignored(self) -> None:
+        none = np.zeros(0, dtype=np.int64)
+        roster = Roster(frozenset({1, 2}), frozenset({0, 1}))
+
+        def unknown(**changes):
+            parts = {name: NO_ID for name in ("tree_id", "asks_id", "heir_id")}
+            parts |= {"ask_turn": 0, "ready": True, "pairs": np.zeros((0, 2), dtype=np.int64)}
+            names = [field.name for field in fields(TreeStatus) if field.name not in parts]
+            tree = TreeStatus(**(parts | {name: none for name in names} | changes))
+            return roster.unknown_in(UnitReport(1, 0.0, [9, 9], none, np.zeros((0, 2)), none, none, tree))
+
+        assert unknown() is None
+        assert unknown(neighbor_ids=[0], turns=[4], pairs=[[1, NO_ID]]) is None
+        assert unknown(neighbor_ids=[0], turns=[4], pairs=[[1, 3]]) == "pairs"
+        assert unknown(neighbor_ids=[2], turns=[4], pairs=[[1, 2]]) == "neighbor_ids"
+        assert unknown(handed_ids=[5], handed_to_ids=[0], handed_slots=[0]) == "handed_ids"
+        assert unknown(handed_ids=[1], handed_to_ids=[7], handed_slots=[0]) == "handed_to_ids"
+        assert unknown(heir_id=2) == "heir_id"
 
 
 def sent_kinds(news) -> list[str]:

@@ -61,8 +61,8 @@ def changed(**parts) -> bytes:
     return json.dumps(json.loads(encode(everything()[0], TEAM)) | parts).encode()
 
 
-def body(**parts) -> bytes:
-    record = json.loads(encode(everything()[0], TEAM))
+def body(number: int = 0, /, **parts) -> bytes:
+    record = json.loads(encode(everything()[number], TEAM))
     record["body"] |= parts
     return json.dumps(record).encode()
 
@@ -204,6 +204,16 @@ class TestDecode:
             (body(rho_px=[[1.0]]), "wrong shape"),
             (body(unit_id="0"), "wrong shape"),
             (body(unit_id=True), "wrong shape"),
+            (body(rho_px=[1e200]), "goals with rho_px outside 0 to 1e.06 from 'unit/0'"),
+            (body(sides_px=[1e-200]), "goals with sides_px outside 0.1 to 1e.06"),
+            (body(bearings_rad=[1e308]), "bearings_rad outside -10 to 10"),
+            (body(neighbor_distances_px=[[1e150, 1.0]]), "neighbor_distances_px outside"),
+            (body(2, points_px=[[1e12, 0.0], [0.0, 0.0]]), "report with points_px outside"),
+            (body(2, side_px=1e300), "report with side_px outside"),
+            (body(2, roles={"version": 2**60, "author_id": 0, "roles": [1, 0]}), "version outside"),
+            (body(1, distances_sides=[1e300]), "distances_sides outside"),
+            (body(1, shares=[2.0]), "shares outside 0 to 1"),
+            (body(5, climb_mps=1e9), "climb_mps outside"),
             (body(time_s=1e200), "wrong shape"),
             (body(time_s="now"), "wrong shape"),
         ],

@@ -169,3 +169,15 @@ def test_fit_similarities_equals_single_fits() -> None:
     for row in np.flatnonzero(~fits.exist).tolist():
         with pytest.raises(DegenerateSetError):
             fit_similarity(template[group == row], current[group == row])
+
+
+def test_points_at_distances_near_zero_define_no_similarity() -> None:
+    """The scale of such a fit is not finite, or its square is not."""
+    current = np.array([100.0, 200.0 + 50j, 300j])
+    for distance in (1e-60, 1e-150, 1e-200):
+        near = distance * np.array([0, 1, 1j])
+        with pytest.raises(DegenerateSetError), np.errstate(all="ignore"):
+            fit_similarity(near, current)
+        with np.errstate(all="ignore"):
+            found = fit_similarities(near, current, group=np.zeros(3, dtype=np.int64), groups=1)
+        assert not found.exist.any() and found.factors[0] == 0

@@ -34,7 +34,7 @@ def _read_to_end(request: EndRequest) -> None:
 
 
 class Crash(Exception):
-    """Error of a supervised process other than refused input. It ends the program as a crash does, with code 1."""
+    """Error of a supervised process other than refused input. It ends the program with code 1."""
 
 
 @contextmanager
@@ -42,7 +42,7 @@ def _crashing(supervised: bool) -> Iterator[None]:
     """Turn all errors of a supervised process except InputError into a crash, after which it is restarted.
 
     The command line ends with code 2 after OSError and MemoryError, and with any code after SystemExit. The
-    supervisor does not restart a process with such a code, but causes such as a lack of file descriptors pass.
+    supervisor does not restart a process with such a code. Causes such as a lack of file descriptors pass.
     """
     try:
         yield

@@ -9,12 +9,14 @@ there only while their heartbeats say that they drive.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skyherd.control import AerialController, Decision
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
+from skyherd.live.plausible import Roster
 from skyherd.live.robot_core import DRIVING, FUTURE_S, MAX_GAP_S
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import Envelope, Heartbeat, Message, Sighting
@@ -54,6 +56,7 @@ class UnitCore:
         oldest_s: age above which an image is stale.
         clock_limits: limits of trust in another clock.
         lab: digest of the lab file.
+        unit_ids: numbers of the team's units; None if they are not known.
     """
 
     def __init__(
@@ -64,11 +67,14 @@ class UnitCore:
         oldest_s: float,
         clock_limits: ClockLimits,
         lab: str = "",
+        unit_ids: Iterable[int] | None = None,
     ) -> None:
         self.unit_id, self.name, self.trouble = unit_id, f"unit/{unit_id}", ""
         self.clocks, self._lab = PeerClocks(self.name, clock_limits, lab), lab
         self.latch: StopLatch = NO_COMMAND
         self._controller, self._oldest_s = controller, oldest_s
+        units = None if unit_ids is None else frozenset(unit_ids)
+        self._roster = Roster(frozenset(controller.template.ids.tolist()), units)
         self._reports: dict[int, UnitReport] = {}
         self._driving_s: dict[int, float] = {}
         self._imaged_s = self._namesake_s = -math.inf
@@ -105,6 +111,9 @@ class UnitCore:
         ahead_s = message.time_s - now_s
         if ahead_s > self.clocks.limits.offset_s + FUTURE_S:
             self.trouble = f"image of {envelope.sender} is {ahead_s:.2g} s in the future"
+            return
+        if unknown := self._roster.unknown_in(message):
+            self.trouble = f"report of {envelope.sender} with unknown ids ({unknown})"
             return
         if self._controller.clock is not None:
             self._controller.clock.hear(message.time_s, np.array([now_s]))

@@ -9,8 +9,8 @@ An envelope is a JSON object with nine keys:
 - `stop`, `cleared`: numbers of the sender's latch (`skyherd.live.stop_latch`);
 - `kind`, `body`: kind of the message, and the message as it is recorded.
 
-Bytes become a message only if team, version, kind, shape and sender are valid. All other bytes are refused
-with a reason.
+Bytes become a message only if team, version, kind, shape, ranges and sender are valid. All other bytes are
+refused with a reason.
 
     unit/J   goals, proximity, report, sighting, heartbeat, and flight in a simulated world
     robot/I  heartbeat, and wheels in a simulated world
@@ -26,6 +26,7 @@ import orjson
 
 from skyherd.errors import MessageError
 from skyherd.geometry import IntArray
+from skyherd.live.plausible import check_ranges
 from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, NOT_HALTED, StopLatch
 from skyherd.messages import FlightCommand, MotionGoals, Proximity, UnitReport
 from skyherd.messages.checks import check_time
@@ -194,6 +195,10 @@ class Refused(Exception):
     """Error for received bytes that are not a valid message. Its text is the reason."""
 
 
+class OutOfRange(MessageError):
+    """Error for a message of the right shape with a value that no process sends."""
+
+
 class Refusals:
     """Counter of refused messages by reason, which reports each reason once.
 
@@ -237,6 +242,10 @@ def envelope_of(record: Mapping[str, Any]) -> Envelope:
     if latch.cleared == MAX_STOP:
         raise ValueError("cleared is above all stop numbers")
     message = plain_message(record["kind"], record["body"])
+    try:
+        check_ranges(message)
+    except MessageError as error:
+        raise OutOfRange(str(error)) from None
     return Envelope(str(record["sender"]), float(record["sent_s"]), message, str(record["instance"]), latch)
 
 
@@ -275,6 +284,8 @@ def decode(data: bytes, team: str) -> Envelope:
         raise Refused(f"of an unknown kind from {_shown(sender)}")
     try:
         envelope = envelope_of(record)
+    except OutOfRange as error:
+        raise Refused(f"{kind} with {error} from {_shown(sender)}") from None
     except (ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError, RuntimeWarning):
         raise Refused(f"{kind} of a wrong shape from {_shown(sender)}") from None
     unit, robot = getattr(envelope.message, "unit_id", None), getattr(envelope.message, "robot_id", None)

@@ -145,3 +145,18 @@ def test_two_robots_determine_own_motion_and_one_does_not(make_detections) -> No
         memory.update(make_detections(ids, ours(ground[:remaining]) + 30, time_s=1.0), [])
         moved = known_points(memory, template.ids[2:]) - ours(ground[2:])
         np.testing.assert_allclose(moved, 30.0 if moves else 0.0, rtol=0, atol=ROUNDING_PX)
+
+
+@pytest.mark.parametrize("unknown", [0, 13, 2**62])
+def test_image_memory_ignores_ids_beyond_the_template(make_detections, make_report, unknown) -> None:
+    """Such an id once fell into the row of another robot, or beyond the last one."""
+    _, ground, (ours, theirs), whole = scene(0)
+    template = Template(np.delete(whole.ids, 3), np.delete(whole.points_px, 3))
+    memory, seen = ImageMemory(template), make_detections(template.ids[:3], ours(ground[:3]))
+    ids = [*template.ids[:3], unknown, *template.ids[3:-1]]
+    points = np.array([*ground[:3], 5j, *np.delete(ground, 3)[3:-1]])
+    memory.update(seen, [make_report(1, ids, theirs(points), NO_ID)])
+    np.testing.assert_allclose(
+        known_points(memory, template.ids[:-1]), ours(np.delete(ground, 3)[:-1]), rtol=0, atol=ROUNDING_PX
+    )
+    assert not memory.known[-1]

@@ -178,3 +178,12 @@ def test_role_exchange_needs_two_known_positions(known) -> None:
     mine = Roles(RULE, TEMPLATE)
     assert not mine.exchange(0, Registration(RING[::-1], np.arange(N) < known))
     assert mine.map.version == 0
+
+
+def test_map_of_a_team_of_another_size_is_ignored(make_report) -> None:
+    mine = Roles(RULE, TEMPLATE)
+    for size in (N - 1, N + 1):
+        mine.receive([replace(make_report(1, [], [], []), roles=RoleMap(5, 1, np.arange(size)))])
+        assert mine.map.version == 0
+    mine.receive([replace(make_report(1, [], [], []), roles=RoleMap(1, 1, np.arange(N)[::-1].copy()))])
+    assert mine.map.version == 1

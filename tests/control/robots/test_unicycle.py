@@ -12,7 +12,7 @@ from skyherd.control import (
     motion_goals,
     robot_commands,
 )
-from skyherd.control.robots.unicycle import unicycle_law, wheel_law
+from skyherd.control.robots.unicycle import finite_command, unicycle_law, wheel_law
 from skyherd.geometry import wrap_angle
 
 ROUNDING = 1e-12
@@ -194,3 +194,15 @@ def test_offset_law_drives_marker_straight_at_limits(rho) -> None:
     used = max(abs(v) / wheels.max_speed_mps, abs(omega) / wheels.max_turn_radps)
     excess = max(abs(wanted.real) / 0.4, abs(wanted.imag) / 0.1 / 2.0)
     assert used == pytest.approx(min(1.0, excess))
+
+
+@pytest.mark.parametrize("gains", [MarkerGains(0.3, 1.2, 0.02, side_m=0.1), PixelGains(0.3, 1.2, 0.02)])
+def test_goal_without_finite_speed_stops_its_robot_alone(gains) -> None:
+    inboxes = one_inbox(np.array([1e200 * np.exp(1j), 30.0]))
+    inboxes.sides_px[0] = [1e-200, 20.0]
+    with np.errstate(all="ignore"):
+        command = robot_commands(inboxes, gains, 0.0, wheels=Wheels(0.3, 2.0))
+    assert np.isfinite(command.v_mps).all() and np.isfinite(command.omega_radps).all()
+    assert command.v_mps[1] != 0.0
+    strange = finite_command(np.arange(3), np.array([np.nan, 0.1, 0.2]), np.array([1.0, np.inf, -1.0]))
+    assert strange.v_mps.tolist() == [0.0, 0.0, 0.2] and strange.omega_radps.tolist() == [0.0, 0.0, -1.0]

@@ -70,7 +70,7 @@ def test_pseudo_terminal_needs_an_option(tmp_path) -> None:
     with serial.Serial(str(port)) as terminal:
         terminal.write(b"V" * 1000)
         assert terminal.out_waiting == 0
-    with pytest.raises(InputError, match="a pseudo-terminal, which keeps .*; a serial port, or [?]pty=yes"):
+    with pytest.raises(InputError, match=r"a pseudo-terminal, .*; a serial port, or \?pty=yes"):
         open_driver(f"serial://{port}", robot_id=5)
     with pytest.raises(InputError, match="pty 'maybe'; yes or no"):
         open_driver(f"serial://{port}?pty=maybe", robot_id=5)

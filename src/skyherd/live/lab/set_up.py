@@ -166,6 +166,7 @@ class Lab:
             oldest_s=self.model.limits.goal_timeout_s,
             clock_limits=self.clock_limits,
             lab=self.digest,
+            unit_ids=range(len(self.model.cameras)),
         )
 
     @property

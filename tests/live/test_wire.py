@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from skyherd.live.mailbox import Air, Mailbox, matches
+from skyherd.live.mailbox import MAX_ROUND_S, MAX_WAITING_BYTES, Air, Mailbox, matches
 from skyherd.live.wire import (
     MAX_BYTES,
+    TOO_LARGE,
     Arm,
     Envelope,
     Heartbeat,
@@ -127,6 +128,43 @@ class TestMailbox:
                 other.send(Stop("other"))
                 air.advance(1.0)
             assert fetched == waiting
+
+    def test_round_ends_after_a_time_and_keeps_the_rest(self) -> None:
+        air, now_s = Air(), [100.0]
+        mailbox = Mailbox(air.radio("unit/0"), TEAM, "unit/0", lambda: now_s[0], ["**"])
+        other = Mailbox(air.radio("unit/1"), TEAM, "unit/1", lambda: 0.0, [])
+        for number in range(30):
+            other.send(Stop(str(number)))
+        air.advance(1.0)
+        whys, rounds = [], 0
+        while len(whys) < 30 and rounds < 30:
+            begun_s, rounds = now_s[0], rounds + 1
+            for arrival in mailbox.fetch(1.0):
+                whys.append(arrival.envelope.message.why)
+                now_s[0] += 0.004
+            assert now_s[0] - begun_s <= MAX_ROUND_S + 0.004 + 1e-9
+        assert rounds in (5, 6) and whys == [str(number) for number in range(30)]
+
+    def test_large_messages_leave_room_for_a_stop(self) -> None:
+        """A flood of messages just below the largest size fills the queue. One above it is refused once."""
+        air, lines = Air(), []
+        mailbox = Mailbox(air.radio("unit/0"), TEAM, "unit/0", lambda: 0.0, ["**"], lines.append)
+        other = Mailbox(air.radio("unit/1"), TEAM, "unit/1", lambda: 0.0, [])
+        for _ in range(3):
+            other.send(Stop("x" * MAX_BYTES))
+        for _ in range(100):
+            other.send(Stop("x" * (MAX_BYTES - 300)))
+        other.send(Stop("space bar"))
+        air.advance(1.0)
+        whys = [arrival.envelope.message.why for arrival in mailbox.fetch()]
+        assert len(whys) == 1 + MAX_WAITING_BYTES // MAX_BYTES and whys[-1] == "space bar"
+        assert mailbox.dropped == 101 - len(whys)
+        assert mailbox.refusals.counts == {TOO_LARGE: 3}
+        assert lines == ["refused a message larger than the largest message"]
+        for _ in range(MAX_WAITING_BYTES // MAX_BYTES):
+            other.send(Stop("x" * (MAX_BYTES - 300)))
+        air.advance(2.0)
+        assert len(list(mailbox.fetch())) == MAX_WAITING_BYTES // MAX_BYTES, "read messages leave room"
 
 
 def test_air_drops_delays_and_orders_by_arrival() -> None:

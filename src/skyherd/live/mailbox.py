@@ -6,17 +6,25 @@ A radio carries bytes under topics without any guarantee: messages are lost, lat
 
 import queue
 import secrets
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from heapq import heappop, heappush
 from typing import Protocol
 
 from skyherd.live.stop_latch import StopLatch
-from skyherd.live.wire import Envelope, Message, Refusals, Refused, decode, encode
+from skyherd.live.wire import MAX_BYTES, TOO_LARGE, Envelope, Message, Refusals, Refused, decode, encode
 
 MAX_WAITING = 5000
 """Size of the receive queue, messages; further ones are dropped and counted. Chosen: ten seconds of traffic
 of a team of twenty. A process slower than its radio loses messages instead of acting on stale ones."""
+
+MAX_WAITING_BYTES = 1 << 22
+"""Size of the receive queue, bytes; further messages are dropped and counted. Chosen: 16 messages of the
+largest size, which take 0.15 s to read. A small message, such as a stop, fits where a large one does not."""
+
+MAX_ROUND_S = 0.02
+"""Longest time for which `Mailbox.fetch` yields messages, s. Chosen: a fifth of a robot's usual period."""
 
 
 class Radio(Protocol):
@@ -59,7 +67,7 @@ class Mailbox:
         name: of the process, such as `unit/0`.
         instance: random id of this process.
         refusals: counts of refused messages by reason.
-        dropped: number of messages dropped because the queue was full.
+        dropped: number of messages dropped because the queue was full, in messages or in bytes.
 
     Args:
         radio: carries the bytes.
@@ -86,6 +94,8 @@ class Mailbox:
         self._latch = latch
         self._radio, self._team, self._clock, self._tell = radio, team, clock, tell
         self._waiting: queue.Queue[tuple[bytes, float]] = queue.Queue(MAX_WAITING)
+        self._waiting_bytes = self._too_large = 0
+        self._lock = threading.Lock()
         for kind in kinds:
             radio.subscribe(f"skyherd/*/{kind}", self._take)
 
@@ -99,29 +109,58 @@ class Mailbox:
     def fetch(self, timeout_s: float = 0.0) -> Iterator[Arrival]:
         """Yield the received messages in order. Wait up to `timeout_s` for the first one.
 
-        Messages that arrive after the first was yielded are left to the next call, so that a flood of them
-        does not hold the caller.
+        Messages that arrive after the first was yielded are left to the next call, and so are those that wait
+        after `MAX_ROUND_S`. A flood of messages therefore does not hold the caller.
         """
+        begun_s: float | None = None
         for number in range(max(self._waiting.qsize(), 1)):
             wait = number == 0 and timeout_s > 0
+            if begun_s is not None and not 0 <= self._clock() - begun_s <= MAX_ROUND_S:
+                return
             try:
                 data, received_s = self._waiting.get(block=wait, timeout=timeout_s if wait else None)
             except queue.Empty:
                 return
+            finally:
+                self._refuse_large()
+            begun_s = self._clock() if begun_s is None else begun_s
+            with self._lock:
+                self._waiting_bytes -= len(data)
             try:
                 envelope = decode(data, self._team)
             except Refused as error:
-                if line := self.refusals.refuse(str(error)):
-                    self._tell(f"refused a message {line}" if " " in line else line)
+                self._refuse(str(error))
                 continue
             if (envelope.sender, envelope.instance) != (self.name, self.instance):
                 yield Arrival(envelope, received_s)
 
     def _take(self, data: bytes) -> None:
-        try:
-            self._waiting.put_nowait((data, self._clock()))
-        except queue.Full:
-            self.dropped += 1
+        """Queue received bytes, in the radio's thread."""
+        with self._lock:
+            if len(data) > MAX_BYTES:
+                self._too_large += 1
+                return
+            if self._waiting_bytes + len(data) > MAX_WAITING_BYTES:
+                self.dropped += 1
+                return
+            try:
+                self._waiting.put_nowait((data, self._clock()))
+            except queue.Full:
+                self.dropped += 1
+            else:
+                self._waiting_bytes += len(data)
+
+    def _refuse(self, why: str) -> None:
+        """Count a refused message, and report the first one of each reason."""
+        if line := self.refusals.refuse(why):
+            self._tell(f"refused a message {line}" if " " in line else line)
+
+    def _refuse_large(self) -> None:
+        """Count the messages that were too large to be queued."""
+        with self._lock:
+            count, self._too_large = self._too_large, 0
+        for _ in range(count):
+            self._refuse(TOO_LARGE)
 
 
 def matches(pattern: str, topic: str) -> bool:

@@ -39,9 +39,12 @@ from skyherd.text import printable, shorten
 VERSION = 4
 """Version of the format. It increases with every change that an older process would misread."""
 
-MAX_BYTES = 1 << 20
-"""Size of the largest accepted message, bytes. Chosen: four times the goals of a thousand robots with three
-neighbours each."""
+MAX_BYTES = 1 << 18
+"""Size of the largest accepted message, bytes. Chosen: the largest message is a proximity. That of 150 robots
+with 18 bodies around each has 230 kB. A heartbeat about `MAX_PEERS` processes has 165 kB."""
+
+TOO_LARGE = "larger than the largest message"
+"""Reason of a refusal."""
 
 MAX_NAME = 40
 """Length of the longest process name, characters. Chosen: a few times the longest one in use."""
@@ -261,7 +264,7 @@ def decode(data: bytes, team: str) -> Envelope:
         Refused: the bytes are too many, not JSON, of another team or version, or not a valid message.
     """
     if len(data) > MAX_BYTES:
-        raise Refused("larger than the largest message")
+        raise Refused(TOO_LARGE)
     try:
         record = orjson.loads(data)
     except (orjson.JSONDecodeError, RecursionError):

@@ -6,7 +6,7 @@ from live_sessions import Script
 
 from skyherd.live.mailbox import Arrival
 from skyherd.live.robot_process import MIN_SHARE, DecisionTimer
-from skyherd.live.wire import Envelope, Heartbeat, Sighting
+from skyherd.live.wire import Envelope, Heartbeat, Sighting, Stop
 
 PERIOD_S = 0.1
 GOALS = Script().goals(0)
@@ -46,6 +46,19 @@ def test_decisions_under_many_goals_at_most_five_a_period() -> None:
     made = decisions(np.arange(0.0, 2.0, 0.004))
     assert np.diff(made).min() >= MIN_SHARE * PERIOD_S - 1e-9
     assert np.diff(made).max() <= MIN_SHARE * PERIOD_S + 6e-3
+
+
+def test_decision_after_a_stop_at_once() -> None:
+    """Also right after another decision, and for a message of any process."""
+    made = decisions([0.205, 0.208], message=Stop("test"), robot=9)
+    for news_s in (0.205, 0.208):
+        assert 0 <= made[made >= news_s][0] - news_s <= 2e-3
+    timer = DecisionTimer(0.5, 0.0)
+    timer.decided(0.0)
+    timer.hasten(0.01)
+    assert timer.due_s == 0.01
+    timer.hasten(0.02)
+    assert timer.due_s == 0.01
 
 
 @pytest.mark.parametrize(

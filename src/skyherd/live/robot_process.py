@@ -9,7 +9,7 @@ from skyherd.live.drivers import WORLD, Motion, RobotDriver, open_driver
 from skyherd.live.mailbox import Arrival, Mailbox
 from skyherd.live.process_context import HeartbeatTimer, ProcessContext, StatusLine
 from skyherd.live.robot_core import DRIVING, Order
-from skyherd.live.wire import SESSION, Wheels
+from skyherd.live.wire import SESSION, Stop, Wheels
 from skyherd.messages import MotionGoals, VelocityCommand
 
 HEARS = (
@@ -33,7 +33,7 @@ DRY_RUN = " (dry run)"
 
 
 class DecisionTimer:
-    """Timer of a robot's decisions: once a period, and soon after each new goal.
+    """Timer of a robot's decisions: once a period, soon after each new goal, and at once after a stop.
 
     Attributes:
         due_s: time of the next decision.
@@ -48,11 +48,17 @@ class DecisionTimer:
         self._period_s = period_s
 
     def hear(self, arrival: Arrival, robot_id: int, now_s: float) -> None:
-        """Advance the next decision if the message is a goal for this robot."""
+        """Advance the next decision if the message is a goal for this robot or a stop."""
         message = arrival.envelope.message
-        if isinstance(message, MotionGoals) and robot_id in message.ids:
+        if isinstance(message, Stop):
+            self.hasten(now_s)
+        elif isinstance(message, MotionGoals) and robot_id in message.ids:
             soonest_s = self._decided_s + MIN_SHARE * self._period_s
             self.due_s = min(self.due_s, max(now_s, soonest_s))
+
+    def hasten(self, now_s: float) -> None:
+        """Let the next decision be due now."""
+        self.due_s = min(self.due_s, now_s)
 
     def decided(self, now_s: float) -> None:
         """Schedule the next decision after a decision made now."""
@@ -94,10 +100,13 @@ def run_robot(context: ProcessContext, robot_id: int, *, dry_run: bool = False) 
         timer = DecisionTimer(lab.model.limits.period_s, time.monotonic())
         while not context.ended():
             while (left_s := timer.due_s - time.monotonic()) > 0:
+                was_armed = core.armed
                 for arrival in mailbox.fetch(left_s):
                     process_log.heard(arrival)
                     core.receive(arrival.envelope, arrival.received_s)
                     timer.hear(arrival, robot_id, time.monotonic())
+                if was_armed and not core.armed:  # Any message may carry the number of a stop.
+                    timer.hasten(time.monotonic())
             timer.decided(time.monotonic())
             now_s = clock()
             trouble = driver.trouble

@@ -19,6 +19,7 @@ from PIL import Image
 
 from skyherd.errors import InputError
 from skyherd.live.cameras import MirrorWatch, open_camera
+from skyherd.live.cameras.recordings import ImageFolder
 from skyherd.live.cameras.streams import V4L2, device_of, stream_of
 from skyherd.markers.dictionary import load_dictionary
 from skyherd.vision import create_detector
@@ -149,6 +150,27 @@ class TestRecordings:
             for number in (3, 4):
                 write("newest.png", number)
                 assert read(until(camera, lambda frame: True).image) == number
+
+    def test_growing_folder_yields_pictures_after_the_clock_was_set_back(self, tmp_path) -> None:
+        def write(number, age_s):
+            path = tmp_path / f"{number}.part"
+            Image.fromarray(drawn(number)).save(path, format="PNG")
+            os.utime(path, (time.time() - age_s,) * 2)
+            path.rename(tmp_path / f"{number}.png")
+
+        for number in (1, 2):
+            write(number, 0.0)
+        source = ImageFolder(tmp_path, "live")
+        pauses = iter(range(3, 9))
+
+        def pause(seconds):
+            number = next(pauses, None)
+            if number is not None:
+                write(number, 0.0 if number < 5 else 3600.0 - number)
+            return number is None
+
+        with source.open(pause) as pictures:
+            assert [read(picture.image) for picture in pictures] == [2, 3, 4, 5, 6, 7, 8]
 
 
 def pace(stop, moved) -> None:

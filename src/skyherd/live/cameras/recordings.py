@@ -52,7 +52,8 @@ class ImageFolder:
     """A folder of pictures, complete or written by a camera.
 
     `fast` reads the existing pictures in the order of their names, and ends. `live` reads the newest picture,
-    and then each added or changed one. The time of a picture is the last change of its file.
+    and then each added or changed one, also if the clock was set back. The time of a picture is the last change
+    of its file.
 
     Args:
         path: the folder.
@@ -98,18 +99,20 @@ class ImageFolder:
 
     def _growing(self, found: list[tuple[int, str]], pause: Callable[[float], bool]) -> Iterator[Picture]:
         """Yield the newest picture, and then all new ones."""
-        last = found[-2] if len(found) > 1 else (0, "")
+        taken = {name: changed_ns for changed_ns, name in found[:-1]}
         while True:
-            for changed_ns, name in [file for file in self._files() if file > last]:
+            files = self._files()
+            taken = {name: taken[name] for _, name in files if name in taken}
+            for changed_ns, name in [file for file in files if taken.get(file[1]) != file[0]]:
                 age_s = time.time() - changed_ns / 1e9
                 try:
                     image = read_grey(self._path / name)
                 except InputError:
-                    if age_s < UNFINISHED_S:
+                    if abs(age_s) < UNFINISHED_S:
                         break
-                    last = changed_ns, name
+                    taken[name] = changed_ns
                     continue
-                last = changed_ns, name
+                taken[name] = changed_ns
                 yield Picture(image, age_s=age_s)
             if pause(POLL_S):
                 return

@@ -151,7 +151,7 @@ class TestRecordings:
                 write("newest.png", number)
                 assert read(until(camera, lambda frame: True).image) == number
 
-    def test_growing_folder_yields_pictures_after_the_clock_was_set_back(self, tmp_path) -> None:
+    def test_growing_folder_yields_pictures_after_a_clock_reset(self, tmp_path) -> None:
         def write(number, age_s):
             path = tmp_path / f"{number}.part"
             Image.fromarray(drawn(number)).save(path, format="PNG")

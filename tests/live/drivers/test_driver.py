@@ -8,6 +8,7 @@ import pytest
 
 from skyherd.errors import InputError, MessageError
 from skyherd.live.drivers import STILL, Motion, RobotDriver, SpeedLimits, open_driver
+from skyherd.live.drivers.driver import RECOVERY
 from skyherd.live.drivers.dry_run import DryRun
 from skyherd.live.stop_latch import NOT_HALTED
 from skyherd.messages import FlightCommand, VelocityCommand
@@ -116,8 +117,20 @@ class TestRobotDriver:
         steps.round()
         assert driver.trouble == "wire: cannot be written to: of one's own" and driver.failed == 2
         wire.broken = None
-        steps.round()
-        assert driver.trouble is None and driver.written == len(wire.written)
+        for is_over in (False, False, True):
+            assert driver.trouble is not None
+            steps.round()
+            assert (driver.trouble is None) == is_over
+        assert driver.written == len(wire.written)
+
+    def test_link_that_fails_every_second_time_is_in_trouble(self, rig) -> None:
+        """A socket to a robot that is switched off does so."""
+        driver, wire, steps = rig
+        driver.send_motion(STILL, stop=4)
+        for number in range(12):
+            wire.broken = None if number % 2 else OSError(111, "Connection refused")
+            steps.round()
+            assert driver.trouble is not None and driver.halted == NOT_HALTED
 
     def test_exit_in_a_write_is_reported_and_retried(self, rig) -> None:
         driver, wire, steps = rig
@@ -125,7 +138,8 @@ class TestRobotDriver:
         steps.round()
         assert driver.trouble == "wire: cannot be written to: SystemExit 3" and driver.failed == 1
         wire.broken = None
-        steps.round()
+        for _ in range(RECOVERY):
+            steps.round()
         assert driver.trouble is None and driver._thread.is_alive()
 
     def test_speed_grows_from_zero_after_a_failed_write(self) -> None:
@@ -162,7 +176,9 @@ class TestRobotDriver:
         steps.round()
         assert driver.halted == NOT_HALTED
         wire.broken = None
-        steps.round()
+        for _ in range(RECOVERY):
+            assert driver.halted == NOT_HALTED
+            steps.round()
         assert driver.halted == 8
         wire.broken = OSError(5, "Input/output error")
         steps.round()

@@ -52,8 +52,8 @@ class ImageFolder:
     """A folder of pictures, complete or written by a camera.
 
     `fast` reads the existing pictures in the order of their names, and ends. `live` reads the newest picture,
-    and then each added or changed one, also if the clock was set back. The time of a picture is the last change
-    of its file.
+    and then each added or changed one, also if the clock was set back. The time of a picture is the last
+    change of its file.
 
     Args:
         path: the folder.

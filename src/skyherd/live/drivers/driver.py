@@ -30,6 +30,10 @@ once. *Chosen*: a caller that sends too often does not fill a slow line."""
 STOPS = 3
 """Number of zero commands that `close` writes. *Chosen*: one or two may get lost."""
 
+RECOVERY = 3
+"""Number of writes in a row without an error after which trouble is over. *Chosen*: sockets to a robot that
+is switched off report an error at every second packet."""
+
 CLOSE_S = 2.0
 """Longest time that `close` waits for the thread, s. *Chosen*: longer than any link's `write` should take."""
 
@@ -80,7 +84,7 @@ class RobotDriver:
         self._wanted, self._sent_s, self._stop = STILL, float("-inf"), NOT_HALTED
         self._written_s = clock()
         self._writing_since_s: float | None = None
-        self._halted = NOT_HALTED
+        self._halted, self._taken = NOT_HALTED, 0
         self._lock = threading.Lock()
         self._closing = threading.Event()
         self._news = threading.Event()
@@ -136,7 +140,7 @@ class RobotDriver:
 
     @property
     def halted(self) -> int:
-        """Stop number with the last write if the link took it as a zero without an error; else `NOT_HALTED`.
+        """Stop number with the last write if the link took it as a zero without trouble; else `NOT_HALTED`.
 
         The number was known before the write began.
         """
@@ -144,7 +148,7 @@ class RobotDriver:
 
     @property
     def trouble(self) -> str | None:
-        """Reason why motions are not written now, in one line; None after a success.
+        """Reason why motions are not written now, in one line; None after `RECOVERY` writes without an error.
 
         A write that failed, a write that has blocked for longer than the watchdog time, or a thread that has
         ended before `close`.
@@ -218,14 +222,16 @@ class RobotDriver:
             # A custom link may raise anything, also SystemExit, and zero must still be tried. Signals
             # interrupt the main thread alone.
             self.failed += 1
-            self._halted, self._limiter.last = NOT_HALTED, STILL
+            self._halted, self._limiter.last, self._taken = NOT_HALTED, STILL, 0
             words = " ".join(str(getattr(error, "strerror", None) or error).split())
             words = words if words and isinstance(error, Exception) else f"{type(error).__name__} {words}"
             self._trouble = f"{self.name}: cannot be written to: {words.strip()}"
         else:
-            self._trouble = None
+            self._taken += 1
+            if self._taken >= RECOVERY:
+                self._trouble = None
             if allowed == STILL:
-                self._halted = stop
+                self._halted = stop if self._trouble is None else NOT_HALTED
             elif not 0 <= self._clock() - now_s <= self.hold_s:
                 self._limiter.last = STILL  # The robot's own watchdog has stopped it meanwhile.
         finally:

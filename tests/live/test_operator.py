@@ -44,7 +44,7 @@ class ScriptedRobot:
     def beat(self) -> None:
         session = f"session {self.latch.stop}"
         state = "here" + self.trouble
-        self.mailbox.send(Heartbeat({}, state, session, self.armed, self.ready, self.halted))
+        self.mailbox.send(Heartbeat({}, state, session, self.armed, self.ready, halted=self.halted))
 
     def obey(self) -> None:
         for arrival in self.mailbox.fetch():

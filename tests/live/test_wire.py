@@ -52,7 +52,7 @@ def everything() -> list[Envelope]:
     ]
     return [Envelope("unit/0", 6.125, message) for message in from_unit] + [
         Envelope("robot/3", 6.5, Wheels(3, 0.25, -0.5)),
-        Envelope("robot/3", 6.5, Heartbeat({}, "disarmed", "6.5/0", True, False, 17)),
+        Envelope("robot/3", 6.5, Heartbeat({}, "disarmed", "6.5/0", True, False, "ab12", 17)),
         Envelope("operator", 7.0, Arm({"robot/3": "6.5/0"})),
         Envelope("operator", 7.0, Stop("space bar")),
     ]

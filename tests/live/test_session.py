@@ -193,7 +193,7 @@ def test_process_leaves_a_terminal_that_is_held_to_the_end() -> None:
 def test_arm_is_given_when_its_process_starts(capsys, monkeypatch) -> None:
     given: list[float] = []
 
-    def arm(lab, watched, *, given_s):
+    def arm(lab, watched, *, given_s, robots):
         given.append(given_s)
         return Outcome(lab.ids, {})
 

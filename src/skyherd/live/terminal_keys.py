@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 MAX_KEYS = 1024
 """Largest number of keys read at once. Chosen: more than a person presses within a refresh period."""
@@ -77,7 +78,7 @@ def _unbuffered() -> Iterator[Callable[[], str]]:
     import tty
 
     terminal = sys.stdin.fileno()
-    before: list[list[object]] = []
+    before: list[Any] = []
 
     def prepare() -> bool:
         """Return whether keys are this process's, and have them sent without Enter if so."""

@@ -4,6 +4,7 @@ import hashlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from skyherd.assembly import (
     REPORT_LIFETIME_S,
@@ -71,9 +72,9 @@ class Lab:
 
         Left out is what may differ from machine to machine: addresses, radio and recording.
         """
-        addresses = {"cameras": {"__all__": {"address", "driver", "calibration"}}}
-        drivers = {"robots": {"__all__": {"driver"}}}
-        content = self.model.model_dump_json(exclude={"radio": True, "recording": True} | addresses | drivers)
+        own: dict[str, Any] = {"radio": True, "recording": True, "robots": {"__all__": {"driver"}}}
+        own["cameras"] = {"__all__": {"address", "driver", "calibration"}}
+        content = self.model.model_dump_json(exclude=own)
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
     @cached_property

@@ -1,19 +1,22 @@
 """Candidates: quadrilaterals that resemble a marker, one for each place and id, outside known markers."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.vision.grey import Image
+from skyherd.vision.photometric.evidence.likelihood import MarkerOdds, no_odds
 from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.refine import START_SIGMA_PX
 from skyherd.vision.photometric.state import CameraState
+from skyherd.vision.row_record import RowRecord
 from skyherd.vision.search.decode import DecodedQuads, decode_quads, no_decoded_quads
-from skyherd.vision.search.edges import fit_edges
+from skyherd.vision.search.edges import EdgeFits, fit_edges
 
 PALE_SHARE = 0.3
 """While markers are known in an image, candidates whose cells show less than this share of the camera's usual
@@ -46,22 +49,56 @@ MIN_DIVISOR_PX = 1e-6
 
 
 @dataclass(frozen=True)
+class Weighed(RowRecord):
+    """Evidence for the M candidates that the first fit does not verify.
+
+    Attributes:
+        rows: (M,) their numbers among all candidates.
+        edges: of them, with corners in the order of the decoded marker.
+        odds: of the likeliest marker of each.
+    """
+
+    rows: IntArray
+    edges: EdgeFits
+    odds: MarkerOdds
+
+    @property
+    def corners_px(self) -> Array:
+        """Corners (M, 4, 2) by their edges, px, in the order of the likeliest marker."""
+        return self.edges.turned(self.odds.turns).corners_px
+
+
+@cache
+def nothing_weighed() -> Weighed:
+    """Return the record with M = 0."""
+    none, empty = np.zeros(0, dtype=np.int64), np.zeros(0)
+    edges = EdgeFits(np.zeros((0, 4, 2)), empty, empty, np.zeros((0, 3)), empty)
+    return Weighed(none, edges, no_odds(none))
+
+
+@dataclass(frozen=True)
 class SearchPass:
     """Result of one search of an image.
 
     Attributes:
         quads_px: (Q, 4, 2) corners of the quadrilaterals that were found outside known markers, px.
-        candidates: the N of them that resemble a marker, after non-maximum suppression.
+        decoded: those that resemble a marker, several of one place, and of a fallback also doubtful ones.
+        candidates: the N of `decoded` that are fitted, after non-maximum suppression.
         fits: of the N candidates, in their order.
         good: (N,) whether each is accepted as a marker, after non-maximum suppression.
         plane: common plane of the markers, as far as it is known afterwards.
+        weighed: evidence for those that the first fit does not verify.
+        parts: (N,) whether each is refused only as it may be the part of a cut marker.
     """
 
     quads_px: Array
+    decoded: DecodedQuads
     candidates: DecodedQuads
     fits: FitResults
     good: BoolArray
     plane: Plane
+    weighed: Weighed
+    parts: BoolArray
 
     @property
     def found(self) -> FitResults:
@@ -71,16 +108,21 @@ class SearchPass:
     @classmethod
     def empty(cls, dictionary: str, plane: Plane, quads_px: Array) -> "SearchPass":
         """Return a search without candidates; `dictionary` is that of the markers."""
-        return cls(quads_px, no_decoded_quads(), no_fit_results(dictionary), np.zeros(0, dtype=bool), plane)
+        quads, fits, none = no_decoded_quads(), no_fit_results(dictionary), np.zeros(0, dtype=bool)
+        return cls(quads_px, quads, quads, fits, none, plane, nothing_weighed(), none)
 
     def joined(self, other: "SearchPass") -> "SearchPass":
         """Return the results of this search followed by those of another, with the other's plane."""
+        later = replace(other.weighed, rows=other.weighed.rows + self.good.size)
         return SearchPass(
             np.concatenate([self.quads_px, other.quads_px]),
+            self.decoded.joined(other.decoded),
             self.candidates.joined(other.candidates),
             self.fits.joined(other.fits),
             np.concatenate([self.good, other.good]),
             other.plane,
+            self.weighed.joined(later),
+            np.concatenate([self.parts, other.parts]),
         )
 
 
@@ -95,23 +137,46 @@ def find_candidates(
 ) -> DecodedQuads:
     """Return the quadrilaterals that resemble a marker, the best one of each place and id.
 
+    The arguments are those of `decode_outlines` and `best_of_decoded`.
+    """
+    decoded = decode_outlines(image, dictionary, state, quads_px, clear=clear)
+    return best_of_decoded(decoded, state, beside_markers=beside_markers, clear=clear)
+
+
+def decode_outlines(
+    image: Image, dictionary: str, state: CameraState, quads_px: Array, *, clear: bool
+) -> DecodedQuads:
+    """Return the quadrilaterals that resemble a marker.
+
     Args:
         image: grey, (height, width).
         dictionary: of the markers.
         state: of the camera.
         quads_px: (Q, 4, 2) corners, px, clockwise as seen, beginning with any of the four.
+        clear: whether candidates must be clear: doubtful ones are then decoded at their edges too.
+    """
+    sigma_px = state.sigma_px or START_SIGMA_PX
+    if not clear:
+        return decode_quads(image, quads_px, dictionary, sigma_px)
+    decoded = decode_quads(image, quads_px, dictionary, sigma_px, DOUBTFUL_CORRELATION)
+    doubtful = decoded.corners_px[decoded.correlations < CLEAR_CORRELATION]
+    edges_px = fit_edges(image, doubtful, cells_per_side(dictionary)).corners_px
+    return decoded.joined(decode_quads(image, edges_px, dictionary, sigma_px))
+
+
+def best_of_decoded(
+    decoded: DecodedQuads, state: CameraState, *, beside_markers: bool, clear: bool
+) -> DecodedQuads:
+    """Return the candidates among decoded quadrilaterals, the best one of each place and id.
+
+    Args:
+        decoded: the quadrilaterals.
+        state: of the camera.
         beside_markers: whether other markers of the image are known; pale candidates are left out then.
         clear: whether candidates must be clear.
     """
-    sigma_px = state.sigma_px or START_SIGMA_PX
     if clear:
-        decoded = decode_quads(image, quads_px, dictionary, sigma_px, DOUBTFUL_CORRELATION)
-        doubtful = decoded.corners_px[decoded.correlations < CLEAR_CORRELATION]
-        edges_px = fit_edges(image, doubtful, cells_per_side(dictionary)).corners_px
-        decoded = decoded.joined(decode_quads(image, edges_px, dictionary, sigma_px, CLEAR_CORRELATION))
         decoded = decoded.take(decoded.correlations >= CLEAR_CORRELATION)
-    else:
-        decoded = decode_quads(image, quads_px, dictionary, sigma_px)
     if beside_markers and state.print_contrast is not None:
         decoded = decoded.take(decoded.print_contrasts >= PALE_SHARE * state.print_contrast)
     start = LocalHomographies.of_corners(decoded.corners_px)

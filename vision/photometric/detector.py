@@ -25,7 +25,8 @@ from skyherd.messages import Detections, Quality
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.photometric.candidates import (
     SearchPass,
-    find_candidates,
+    best_of_decoded,
+    decode_outlines,
     outside_markers,
     unambiguous,
 )
@@ -217,13 +218,12 @@ class PhotometricDetector:
         Enough known markers show the plane. It is then not that of the others alone.
         """
         quads_px = quads_px[outside_markers(quads_px, known)]
-        candidates = find_candidates(
-            image, self.dictionary, state, quads_px, beside_markers=len(known) > 0, clear=clear
-        )
+        decoded = decode_outlines(image, self.dictionary, state, quads_px, clear=clear)
+        candidates = best_of_decoded(decoded, state, beside_markers=len(known) > 0, clear=clear)
         given = image, self.dictionary, state, quads_px, candidates
         if len(known) < MIN_MARKERS_ON_PLANE:
-            return measure_candidates(*given, OWN_PLANES)
-        return replace(measure_candidates(*given, state.plane), plane=state.plane)
+            return replace(measure_candidates(*given, OWN_PLANES), decoded=decoded)
+        return replace(measure_candidates(*given, state.plane), plane=state.plane, decoded=decoded)
 
 
 class DeferringDetector(PhotometricDetector):

@@ -70,7 +70,7 @@ def follow(image: Image, dictionary: str, state: CameraState, first: FirstFit) -
     rest = ~np.isin(ids, near.ids)
     fits, start = fits.take(rest), start.take(rest)
     if fits.ids.size:
-        fits, good, plane = verify_and_refit(
+        fits, good, plane, _ = verify_and_refit(
             image, dictionary, fits, plane, start, _start_corners(fits, start)
         )
         fits = fits.take(good & np.isin(fits.ids, ids))

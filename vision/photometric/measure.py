@@ -26,8 +26,10 @@ from skyherd.messages import Quality
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.candidates import (
     SearchPass,
+    Weighed,
     may_be_cut,
     non_maximum_suppression,
+    nothing_weighed,
     on_plane,
     within_better,
 )
@@ -129,19 +131,22 @@ def measure_candidates(
     start = LocalHomographies.of_corners(candidates.corners_px)
     start = on_plane(start, state.plane, image_middle(image))
     fits, plane = _fit(image, dictionary, state, candidates.ids, start)
-    fits, good, plane = verify_and_refit(
+    fits, good, plane, weighed = verify_and_refit(
         image, dictionary, fits, plane, start, candidates.corners_px, known_plane
     )
+    parts = np.zeros(good.size, dtype=bool)
     if code_distance(dictionary) < STRONG_DISTANCE:
         seen_plane = plane if np.count_nonzero(good) >= MIN_MARKERS_ON_PLANE else known_plane
-        good = good & ~may_be_cut(fits.homographies, seen_plane, image.shape[::-1])
+        parts = good & may_be_cut(fits.homographies, seen_plane, image.shape[::-1])
+        good = good & ~parts
     found = fits.take(good)
     shapes, merits = found.homographies, found.qualities - found.noise_stds / GREY_LEVELS
     good, sides_px = good.copy(), shapes.sides_px()
     # Markers do not overlap: half of one may read as another, but no fit explains it.
     inside = within_better(shapes.centers, sides_px, found.qualities == Quality.PHOTOMETRIC)
     good[good] = ~inside & non_maximum_suppression(found.ids, shapes.centers, sides_px, merits)
-    return SearchPass(quads_px, candidates, fits, good, plane if good.any() else state.plane)
+    plane = plane if good.any() else state.plane
+    return SearchPass(quads_px, candidates, candidates, fits, good, plane, weighed, parts)
 
 
 def _fit(
@@ -174,7 +179,7 @@ def verify_and_refit(
     start: LocalHomographies,
     corners_px: Array,
     known_plane: Plane = OWN_PLANES,
-) -> tuple[FitResults, BoolArray, Plane]:
+) -> tuple[FitResults, BoolArray, Plane, Weighed]:
     """Verify fits, refit those that are not verified, and decide about the rest by likelihood.
 
     A fit that is refused for its blur is not refitted: of several fits the one with the least blur would
@@ -190,7 +195,8 @@ def verify_and_refit(
         known_plane: of other markers of the image; it counts if these fits are too few to show theirs.
 
     Returns:
-        The measurements, which of them (N,) are accepted, and the plane.
+        The measurements, which of them (N,) are accepted, the plane, and the evidence for those that were not
+        verified at first.
     """
     noise = image_noise(image)
     good = verified(fits, noise, code_distance(dictionary))
@@ -203,10 +209,11 @@ def verify_and_refit(
         known_plane = plane if is_all else _plane_of(image, dictionary, fits.take(clear), plane, floor)
     if good.all():  # as in most images of a video: nothing to weigh
         fits, good, _ = _refit_covered(image, dictionary, fits, good, is_covered, known_plane, noises)
-        return with_streak(image, dictionary, fits, good, plane, good)
+        return *with_streak(image, dictionary, fits, good, plane, good), nothing_weighed()
     rest = np.flatnonzero(~good)
     edges = fit_edges(image, corners_px[rest], cells_per_side(dictionary))
     odds = _weighed(image, dictionary, edges, _corners(fits.take(rest)))
+    weighed = Weighed(rest, edges, odds)
     log_odds, worth = fits.log_odds.copy(), good.copy()
     log_odds[rest], worth[rest] = odds.log_odds, odds.log_odds > MIN_REFIT_LOG_ODDS
     fits = replace(fits, log_odds=log_odds)
@@ -224,7 +231,7 @@ def verify_and_refit(
         if code_distance(dictionary) < STRONG_DISTANCE:
             accepted &= np.abs(measured.homographies.keystones()) <= MAX_KEYSTONE
         fits, good = _replaced(fits, good, rows[accepted], measured.take(accepted))
-    return fits, good, plane
+    return fits, good, plane, weighed
 
 
 @dataclass(frozen=True)

@@ -185,7 +185,7 @@ def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
         corners_px: (N, 4, 2) corners, px, clockwise as seen, beginning with any of the four.
         dictionary: of the markers.
     """
-    odds = _no_odds(np.zeros(len(corners_px), dtype=np.int64))
+    odds = no_odds(np.zeros(len(corners_px), dtype=np.int64))
     whole = np.flatnonzero(_bits_in_image(image, corners_px, dictionary))
     if not whole.size:
         return odds
@@ -260,7 +260,7 @@ def _only(rows: IntArray, readings: Readings, mask: BoolArray) -> tuple[IntArray
 def _odds_of_readings(readings: Readings, dictionary: str) -> MarkerOdds:
     """Return the evidence for the likeliest marker of each of N candidates, by its readings."""
     codes, correlations = nearest_codes(readings, dictionary)
-    odds, alike = _no_odds(codes[:, 0]), np.flatnonzero(correlations >= MIN_CELL_CORRELATION)
+    odds, alike = no_odds(codes[:, 0]), np.flatnonzero(correlations >= MIN_CELL_CORRELATION)
     if not alike.size:
         return odds
     first = _odds_of_codes(readings.take(alike), codes[alike, :FIRST_CODES], dictionary, first=True)
@@ -271,7 +271,7 @@ def _odds_of_readings(readings: Readings, dictionary: str) -> MarkerOdds:
     return odds.put(likely, _odds_of_codes(readings.take(likely), codes[likely], dictionary))
 
 
-def _no_odds(codes: IntArray) -> MarkerOdds:
+def no_odds(codes: IntArray) -> MarkerOdds:
     """Return the record of N candidates that are compared with no hypothesis; it names `codes` (N,)."""
     count, (ids, turns) = len(codes), np.divmod(codes, 4)
     never, nothing = np.full(count, -np.inf), np.zeros(count)

@@ -44,7 +44,7 @@ def make_scene() -> np.ndarray:
     image = draw_markers(image, [(25, 560, 320, 200, 60)], black=118.0, white=124.0)
     image = draw_markers(image, [(33, 938, 330, 15, 76), (40, 790, 130, 250, 64), (5, 420, 500, 10, 64)])
     cv2.circle(image, (762, 108), 17, 150, -1, cv2.LINE_AA)
-    image[470:560, 110:230] = 32
+    image[470:560, 110:230] = 62
     cells = np.kron(np.where(marker_cells(DICTIONARY, 10), 225, 30), np.ones((10, 10)))
     image[485:545, 140:200] = cells
     for u, v, side in ((640, 490, 50), (760, 520, 40)):

@@ -1,4 +1,4 @@
-"""Why markers were not detected: a second, slow and thorough look, for people who set up cameras and markers.
+"""Why markers were not detected: the results of the detector's searches, in words.
 
 `explain` is the entrance. Nothing of the control loop depends on this package.
 """

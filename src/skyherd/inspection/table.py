@@ -35,6 +35,9 @@ DETECTION_COLUMNS = [*WHERE, *MARKER_COLUMNS, *CORNER_COLUMNS]
 READ = ["cell_px", "contrast", "blur_px", "tilt_deg", "likeness", "nearest_id", "wrong_cells"]
 """Columns of what a rejected candidate shows of a marker (`Reading`); empty of one without bits."""
 
+AGAINST = ["against_marker", "against_chance", "against_rectangle", "against_grid"]
+"""Columns of a candidate's log odds against each rival alone; empty where it was not compared."""
+
 TESTED = ["quantity", "value", "limit"]
 """Columns of the quantity by which a candidate is rejected, and its limit; empty without one."""
 
@@ -47,6 +50,7 @@ REJECTION_COLUMNS = [
     "side_px",
     *READ,
     "log_odds",
+    *AGAINST,
     *CORNER_COLUMNS,
     "words",
 ]
@@ -99,10 +103,16 @@ def rejection_rows(place: Place, rejections: Sequence[Rejection]) -> Iterator[Ro
             "side_px": rejection.side_px,
             **dict.fromkeys(READ, None),
             **(_read(rejection.reading) if rejection.reading else {}),
-            "log_odds": rejection.log_odds if np.isfinite(rejection.log_odds) else None,
+            "log_odds": _finite(rejection.log_odds),
+            **dict(zip(AGAINST, map(_finite, rejection.against.tolist()), strict=True)),
             "corners_px": rejection.corners_px,
             "words": rejection.words,
         }
+
+
+def _finite(value: float) -> float | None:
+    """Return a number, or None if it is not finite."""
+    return value if np.isfinite(value) else None
 
 
 def _read(reading: Reading) -> Row:
@@ -114,7 +124,7 @@ def _read(reading: Reading) -> Row:
         "tilt_deg": reading.tilt_deg,
         "likeness": reading.likeness,
         "nearest_id": reading.nearest_id,
-        "wrong_cells": reading.wrong_bits,
+        "wrong_cells": len(reading.wrong_cells),
     }
 
 

@@ -8,27 +8,26 @@ import numpy as np
 import pytest
 
 from skyherd.errors import InputError
-from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import cells_per_side, code_distance, corners_of_pose, marker_cells
 from skyherd.messages import Quality
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot
 from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.diagnosis.explain import Rejection, detect_and_explain, explain
-from skyherd.vision.diagnosis.reading import name_quads, read_markers
+from skyherd.vision.diagnosis.reading import Reading
 from skyherd.vision.diagnosis.reasons import (
+    FAILED,
     LEGIBLE_BLUR_CELLS,
-    OF_QUANTITY,
     Reason,
-    Suspect,
+    Stage,
+    describe,
     failed_test,
     find_reason,
 )
-from skyherd.vision.diagnosis.suggestions import suggest
-from skyherd.vision.diagnosis.wording import describe
 from skyherd.vision.photometric.fitting.fit_result import FitResults
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.verify import Quantity, WrongCellResiduals, verification_tests, verified
+from skyherd.vision.prints.suggestions import suggest
 
 DICTIONARY = "4X4_50"
 WIDE = "4X4_50@2"
@@ -73,9 +72,10 @@ def explained_at(image: np.ndarray, place_px: np.ndarray) -> Rejection:
     return near[0]
 
 
-def quads_at(places_px: np.ndarray, side_px: float) -> np.ndarray:
-    """Corners of squares as `draw` lays the markers out."""
-    return corners_of_pose(places_px - 0.5, np.array([0.3, 1, 2, -2]), np.full(4, side_px))
+def read_marker(image: np.ndarray) -> Reading:
+    """The first marker of an image that shows it well, as it is explained to those who did not find it."""
+    found = create_detector(dictionary=DICTIONARY).detect(image)
+    return next(r.reading for r in explain(image, DICTIONARY, found.select([])) if r.reading)
 
 
 def check(rejections: list[Rejection], reason: Reason, ids: list[int]) -> None:
@@ -135,13 +135,10 @@ def test_too_few_pixels(draw) -> None:
 
 def test_markers_that_a_sharp_image_blurs_are_too_small(draw) -> None:
     """The same blur in cells, of small markers under the usual blur and of large ones out of focus."""
-    image = draw(40, psf_px=5.0)
-    named = name_quads(image, quads_at(PLACES_PX, 40.0), DICTIONARY)
-    sizes = {}
+    reading, sizes = replace(read_marker(draw()), blur_cells=0.72, likeness=0.95), {}
     for factor in (1.0, 0.2):
-        (reading, *_) = read_markers(image, named, named.decoded.corners_px, DICTIONARY)
         small = replace(reading, corners_px=factor * reading.corners_px, cell_px=factor * reading.cell_px)
-        reason, measured = find_reason(Suspect(small, seen=True), again=False)
+        reason, measured = find_reason(small, Stage.FITTED, None, -np.inf, again=False)
         sizes[factor] = reason, measured.value / measured.limit
     assert sizes[1.0][0] is Reason.BLURRED and sizes[0.2][0] is Reason.FEW_PIXELS
     assert sizes[1.0][1] == pytest.approx(1 / sizes[0.2][1]), "as much smaller as it is too blurred"
@@ -168,24 +165,41 @@ def test_too_blurred(draw) -> None:
         assert r.measured.value == pytest.approx(5.5 / (40 / 6), abs=0.15)
 
 
-@pytest.mark.parametrize("dictionary", [DICTIONARY, WIDE])
-def test_no_quiet_zone(dictionary) -> None:
-    """Cut out along the black and laid on black: the outline cannot be seen, the bits can."""
+def laid_on_ground(ground: int, dictionary: str = DICTIONARY) -> np.ndarray:
+    """Four markers cut out along their black and laid on ground of a grey level."""
     rng = np.random.default_rng(0)
-    image = np.full((400, 400), 35, np.uint8)
+    image = np.full((400, 400), ground, np.uint8)
     for marker_id, (u, v) in zip(IDS, PLACES_PX.astype(int), strict=True):
         marker = np.where(marker_cells(dictionary, marker_id), 230, 30).astype(np.uint8)
         marker = cv2.resize(marker, (80, 80), interpolation=cv2.INTER_NEAREST)
         image[v - 40 : v + 40, u - 40 : u + 40] = marker
     turn = cv2.getRotationMatrix2D((200, 200), 20, 1.0)
-    image = cv2.GaussianBlur(cv2.warpAffine(image, turn, (400, 400), borderValue=35), (0, 0), 0.8)
-    image = np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
-    rejected = likely(image, dictionary)
-    assert {r.reading.nearest_id for r in rejected} == set(IDS)
+    image = cv2.GaussianBlur(cv2.warpAffine(image, turn, (400, 400), borderValue=ground), (0, 0), 0.8)
+    return np.clip(image + rng.normal(0, 2, image.shape), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("dictionary", "ids"), [(DICTIONARY, IDS), (WIDE, [3, 7, 21])])
+def test_no_quiet_zone(dictionary, ids) -> None:
+    """The ground is a little brighter than the black, so that the outline can just be seen."""
+    rejected = likely(laid_on_ground(55, dictionary), dictionary)
+    assert sorted(r.reading.nearest_id for r in rejected) == ids
+    turn = cv2.getRotationMatrix2D((200, 200), 20, 1.0)
     for r in rejected:
         assert r.reason is Reason.NO_QUIET_ZONE and "4 of its 4 edges" in r.words
         wanted = (PLACES_PX[IDS.index(r.reading.nearest_id)] - 0.5) @ turn[:, :2].T + turn[:, 2]
         np.testing.assert_allclose(r.center_px, wanted, atol=2)
+
+
+def test_rival_is_named_if_and_only_if_odds_are_not_hopeless(draw) -> None:
+    """Markers without a margin are hopeless, faint ones not, and what has no bits has no rival either."""
+    explained = explain(laid_on_ground(55, WIDE), WIDE) + likely(draw(black=112.0, white=123.0, noise=1.0))
+    assert {bool(np.isfinite(r.log_odds)) for r in explained if r.reading} == {True, False}
+    assert any(r.reason is Reason.NO_BITS for r in explained)
+    for r in explained:
+        assert bool(r.rival) == bool(np.isfinite(r.log_odds)) == ("log odds" in r.words)
+        if r.rival:
+            assert f"{r.log_odds:.1f} against {r.rival}" in r.words
+            assert r.log_odds <= r.against.min(), "all rivals together are likelier than one"
 
 
 def test_cut_by_the_border(draw) -> None:
@@ -226,26 +240,25 @@ def test_outline_that_the_border_cuts_is_not_read_as_a_marker(marker_id) -> None
 
 def test_candidates_unlike_markers_are_explained_by_log_odds(draw) -> None:
     """A faint reading is explained if it is likelier a marker than not, and by its likeness otherwise."""
-    image = draw()
-    named = name_quads(image, quads_at(PLACES_PX, 40.0)[:1], DICTIONARY)
-    (reading, *_) = read_markers(image, named, named.decoded.corners_px, DICTIONARY)
-    unlike = replace(reading, likeness=0.8, framed=False)
+    unlike = replace(read_marker(draw()), likeness=0.8, has_frame=False)
     reasons = [
-        find_reason(Suspect(unlike, seen=True, fitted=True, log_odds=log_odds), again=False)[0]
-        for log_odds in (-np.inf, 1.0, 3.0)
+        find_reason(unlike, Stage.FITTED, None, log_odds, again=False)[0] for log_odds in (-np.inf, 1.0, 3.0)
     ]
     assert reasons == [Reason.NO_BITS, Reason.NO_BITS, Reason.NO_OUTLINE]
 
 
-def test_guesses_are_explained_by_what_hides_them(draw) -> None:
-    """The same reading, found by the search or guessed: with cells beyond the border, without a margin."""
-    image = draw()
-    named = name_quads(image, quads_at(PLACES_PX, 40.0)[:1], DICTIONARY)
-    (reading, *_) = read_markers(image, named, named.decoded.corners_px, DICTIONARY)
-    cut, dark = replace(reading, visible=0.8), replace(reading, quiet=np.full(4, reading.black))
-    for one, reason in ((cut, Reason.CUT), (dark, Reason.NO_QUIET_ZONE)):
-        assert find_reason(Suspect(one, seen=False), again=False)[0] is reason
-        assert find_reason(Suspect(one, seen=True), again=False)[0] is Reason.NO_OUTLINE
+def test_candidates_are_explained_by_what_spoils_them(draw) -> None:
+    """The same reading with cells beyond the border, without a margin, with a wrong cell, and as it is."""
+    reading = read_marker(draw())
+    for one, stage, reason in (
+        (replace(reading, visible=0.8), Stage.CUT, Reason.CUT),
+        (replace(reading, dark_edges=2), Stage.UNSEEN, Reason.NO_QUIET_ZONE),
+        (replace(reading, wrong_cells=((2, 3),)), Stage.DECODED, Reason.WRONG_BITS),
+        (reading, Stage.UNSEEN, Reason.NO_OUTLINE),
+        (reading, Stage.PART, Reason.PART),
+        (reading, Stage.MIRRORED, Reason.MIRRORED),
+    ):
+        assert find_reason(one, stage, None, -np.inf, again=False)[0] is reason
 
 
 def test_shape_without_a_marker_border_is_not_called_a_marker(draw) -> None:
@@ -353,12 +366,9 @@ def test_each_test_of_a_fit_is_named_with_its_value_and_limit(draw, quantity) ->
     assert [failed_test(tests, row) for row in (1, 2, 3)] == [None] * 3
     named, measured = failed_test(tests, 0)
     assert named is quantity
-    corners_px = to_points(fits.homographies.images(SQUARE_CORNERS))
-    other = name_quads(image, corners_px[[1]], DICTIONARY).take(np.array([0]))
-    (reading,) = read_markers(image, other, other.decoded.corners_px, DICTIONARY)
-    suspect = Suspect(reading, seen=True, fitted=True, failed=(named, measured))
-    reason, told = find_reason(suspect, again=False)
-    assert reason is OF_QUANTITY[quantity] and told is measured
+    reading = read_marker(image)
+    reason, told = find_reason(reading, Stage.FITTED, (named, measured), 5.0, again=False)
+    assert reason is FAILED[quantity][0] and told is measured
     assert str(measured) in describe(reason, measured, reading, DICTIONARY)
     assert (measured.value < measured.limit) == measured.at_least
 

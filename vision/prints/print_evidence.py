@@ -37,7 +37,6 @@ from skyherd.markers.dictionary import (
     load_dictionary,
     sides_of_corners,
 )
-from skyherd.vision.diagnosis.reading import WHITE_PERCENTILE
 from skyherd.vision.grey import Image
 from skyherd.vision.photometric.candidates import overlaps
 from skyherd.vision.search.decode import MIN_CELL_DEVIATION, read_cells
@@ -49,6 +48,10 @@ wrong bit, one of 36h11 with five."""
 
 MAX_WRONG_BORDER = 0.15
 """Largest share of the border's cells that may be light. Chosen: glare on three of 20 cells."""
+
+WHITE_PERCENTILE = 85
+"""Percentile of the inner cells that is taken as white. Chosen: at least an eighth of a marker's bits are
+white, and the brightest few may be glare."""
 
 SHARES = tuple(2.0**-k for k in range(9))
 """Shares of places that show markers, with equal prior probability. Chosen: from all to one in 256."""

@@ -6,8 +6,8 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.markers.dictionary import marker_cells, with_border
 from skyherd.vision import create_detector
-from skyherd.vision.diagnosis import suggestions
-from skyherd.vision.diagnosis.print_evidence import (
+from skyherd.vision.prints import suggestions
+from skyherd.vision.prints.print_evidence import (
     ALL_PRINTS,
     MarkerPrint,
     PrintEvidence,
@@ -16,7 +16,7 @@ from skyherd.vision.diagnosis.print_evidence import (
     _read_squares,
     rank_prints,
 )
-from skyherd.vision.diagnosis.suggestions import _likely, find_dictionary, suggest
+from skyherd.vision.prints.suggestions import _likely, find_dictionary, suggest
 
 IDS = [4, 11, 30]
 

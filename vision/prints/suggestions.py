@@ -16,14 +16,14 @@ from skyherd.vision.detectors.registry import (
     create_detector,
     describe_mirrored,
 )
-from skyherd.vision.diagnosis.print_evidence import (
+from skyherd.vision.grey import Image, check_grey
+from skyherd.vision.prints.print_evidence import (
     ALL_PRINTS,
     MarkerPrint,
     PrintEvidence,
     larger_of_series,
     rank_prints,
 )
-from skyherd.vision.grey import Image, check_grey
 
 MIN_LOG_EVIDENCE = 0.0
 """Smallest evidence of a print that the detector is asked to confirm. Derived: from there on markers are more

@@ -13,6 +13,7 @@ from skyherd.cli import main
 from skyherd.files.video_reader import open_clip, read_clip
 from skyherd.files.video_writer import VideoSink, count_frames, read_frames
 from skyherd.inspection import inspector
+from skyherd.inspection.table import AGAINST
 from skyherd.markers.dictionary import marker_cells
 
 IDS = [4, 11, 30]
@@ -169,7 +170,9 @@ def test_rejections_have_number_position_and_remedy(here, capsys) -> None:
     assert rows[0]["reason"] == "too few pixels" and float(rows[0]["cell_px"]) < 2
     assert rows[0]["quantity"] == "side in px"
     assert float(rows[0]["value"]) < float(rows[0]["limit"]) == 8.0
+    assert float(rows[0]["log_odds"]) <= min(float(rows[0][name]) for name in AGAINST)
     assert rows[-1]["reason"] == "no bits"
+    assert {rows[-1][name] for name in ["log_odds", "nearest_id", *AGAINST]} == {""}
 
 
 def test_rotated_video_is_read_upright_with_its_own_times(here, capsys) -> None:

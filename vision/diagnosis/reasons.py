@@ -36,9 +36,10 @@ SHARP_BLUR_PX = 1.2
 """Blur, px, up to which an image is sharp, so that a marker that it blurs is too small. Chosen: twice that of
 usual photographs."""
 
-CLEAR_CELL_PX, CLEAR_CONTRAST, CLEAR_BLUR_CELLS = 3.0, 40.0, 0.55
+CLEAR_CELL_PX, CLEAR_CONTRAST, CLEAR_BLUR_CELLS = 3.0, 40.0, 0.5
 """Smallest cell, px, smallest contrast, grey levels, and largest blur, cells, of a clear frame. Chosen: what
-is in it can then be told from bits, however unlike a marker it is."""
+is in it can then be told from bits, however unlike a marker it is. Measured: of 813 dark quadrilaterals on
+texture none passes; one does with a blur of 0.55."""
 
 SHOWN_CELLS = 4
 """Most wrong cells that are named one by one. Chosen: they fit into a line."""

@@ -79,7 +79,7 @@ class Inspector:
         border_bits: width of the markers' black border in cells.
         inverted: True for white markers on black.
         repeats: report an id that is found at several places at each of them.
-        explained: also report why candidates were rejected; much slower.
+        explained: also report why candidates were rejected; takes half as long again.
         kind: format of the tables.
         topic: topic of the images in a rosbag2 recording; None for the only one.
         side_m: side of the markers, m, for positions on the ground in metres; None for pixels alone.

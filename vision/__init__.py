@@ -23,8 +23,7 @@ from skyherd.vision.diagnosis.reading import Reading
 from skyherd.vision.diagnosis.reasons import Reason
 from skyherd.vision.fusion.fuse import fuse_markers
 from skyherd.vision.photometric.detector import DeferringDetector, PhotometricDetector
-from skyherd.vision.photometric.marker_images import MarkerImages, measure_marker_images
-from skyherd.vision.photometric.outlines import measure_outlines
+from skyherd.vision.photometric.remeasure import MarkerImages, measure_marker_images, measure_outlines
 from skyherd.vision.photometric.verify import MAX_BLUR_CELLS, MIN_MARKER_CONTRAST
 from skyherd.vision.prints.suggestions import find_dictionary, suggest
 

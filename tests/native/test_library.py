@@ -212,8 +212,8 @@ def fuzz_following(library, rng, image, cells, places):
     """Follow markers from random tracks and estimates; every second request lets all fits count as usual."""
     from skyherd.vision.native.follow_records import TRACK, Estimates, FollowConstants, FollowRequest
     from skyherd.vision.native.records import PLANE
-    from skyherd.vision.photometric.first_fit import follow_constants
     from skyherd.vision.photometric.fitting.fit import fit_constants
+    from skyherd.vision.photometric.following import follow_constants
 
     tracks, constants = (
         np.zeros(len(places), TRACK),

@@ -14,7 +14,7 @@ from skyherd.messages.checks import check_kind
 from skyherd.vision.fusion.planar import fuse_planar_markers
 from skyherd.vision.fusion.spatial import fuse_spatial_markers
 from skyherd.vision.grey import Image
-from skyherd.vision.photometric.outlines import measure_outlines
+from skyherd.vision.photometric.remeasure import measure_outlines
 
 
 def fuse_markers(

@@ -1,4 +1,4 @@
-/* The fit of markers with all eight numbers of each homography free (vision/photometric/outlines.py).
+/* The fit of markers with all eight numbers of each homography free (vision/photometric/remeasure.py).
  *
  * No plane holds an anisotropy, and no keystone is expected. All markers take all steps.
  */

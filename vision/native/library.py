@@ -80,7 +80,7 @@ class Library(SearchFunctions):
         return self._fit(self.functions.fit_visible, request.structure(), request.markers, plane)
 
     def fit_freely(self, request: FitRequest, settled_px: float) -> tuple[npt.NDArray[np.void], Array]:
-        """Fit markers with all eight numbers of each homography free (`photometric.outlines`).
+        """Fit markers with all eight numbers of each homography free (`photometric.remeasure`).
 
         Args:
             request: the markers, N of them, at least one.

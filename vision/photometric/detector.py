@@ -2,7 +2,7 @@
 
 Each image passes through these stages. Stages return values; the detector alone writes a camera's state.
 
-1. *Follow* (`first_fit`, `following`): markers of the last image are fitted where they are predicted. If all
+1. *Follow* (`following`): markers of the last image are fitted where they are predicted. If all
    of them are found as usual, one compiled call has done this, verified them and learned the next state.
 2. *Search* (`skyherd.vision.search`, `candidates`): the image is searched for dark quadrilaterals whose cells
    resemble a marker, in every fifth image, and at once when a followed marker is missing or none is known.
@@ -30,12 +30,11 @@ from skyherd.vision.photometric.candidates import (
     outside_markers,
     unambiguous,
 )
-from skyherd.vision.photometric.first_fit import fit_predicted
 from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
 from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import MIN_MARKERS_ON_PLANE, Plane
-from skyherd.vision.photometric.following import follow
+from skyherd.vision.photometric.following import fit_predicted, follow
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.measure import are_likely, measure_candidates
 from skyherd.vision.photometric.refine import with_usual_blur

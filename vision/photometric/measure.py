@@ -280,8 +280,9 @@ def _refit_covered(
         return np.asarray(is_right & residual_is_noise(visible, most))
 
     there = fits.take(rows)
-    visible, plane = _fit_visible(image, dictionary, there, known_plane, noises.verified, is_explained)
-    is_good = is_explained(visible)
+    visible, is_good, plane = _fit_visible(
+        image, dictionary, there, known_plane, noises.verified, is_explained
+    )
     return *_replaced(fits, good, rows[is_good], visible.take(is_good)), plane
 
 
@@ -324,27 +325,26 @@ def _fit_visible(
     known_plane: Plane,
     noise: float,
     is_accepted: Callable[[FitResults], BoolArray],
-) -> tuple[FitResults, Plane]:
+) -> tuple[FitResults, BoolArray, Plane]:
     """Return fits to the visible pixels, on the known plane or, where that is not accepted, off it.
 
     If no plane is known, the accepted fits are fitted again on their own one, if they are enough to show it.
-    Returned with the fits is the plane, known or found.
+    Returned with the fits are which of them (N,) are accepted, and the plane, known or found.
     """
     fit = partial(fit_visible_all_sizes, image, dictionary, noise=noise)
     sigmas_px = with_usual_blur(fits)
     visible, _ = fit(fits, sigmas_px, known_plane)
-    if known_plane.shared:
-        off = np.flatnonzero(~is_accepted(visible))
-        if off.size:
-            visible = visible.put(off, fit(fits.take(off), sigmas_px[off], OWN_PLANES)[0])
-        return visible, known_plane
-    rows = np.flatnonzero(is_accepted(visible))
-    if rows.size < MIN_MARKERS_ON_PLANE:
-        return visible, known_plane
+    accepted = is_accepted(visible)
+    off, rows = np.flatnonzero(~accepted), np.flatnonzero(accepted)
+    if known_plane.shared and off.size:
+        visible = visible.put(off, fit(fits.take(off), sigmas_px[off], OWN_PLANES)[0])
+        return visible, is_accepted(visible), known_plane
+    if known_plane.shared or rows.size < MIN_MARKERS_ON_PLANE:
+        return visible, accepted, known_plane
     together, plane = fit(visible.take(rows), sigmas_px[rows], OWN_PLANES, settled=True)
     on_plane = visible.put(rows, together)
-    kept = np.flatnonzero(is_accepted(on_plane))
-    return visible.put(kept, on_plane.take(kept)), plane
+    kept = is_accepted(on_plane)
+    return visible.put(np.flatnonzero(kept), on_plane.take(kept)), accepted | kept, plane
 
 
 def _weighed(image: Image, dictionary: str, edges: EdgeFits, fitted_px: Array) -> MarkerOdds:
@@ -402,8 +402,8 @@ def _measured(
             & (visible.contrasts > 0)
         )
 
-    visible, _ = _fit_visible(image, dictionary, start, known_plane, noise, is_robust)
-    robust = np.flatnonzero(is_robust(visible))
+    visible, robust_mask, _ = _fit_visible(image, dictionary, start, known_plane, noise, is_robust)
+    robust = np.flatnonzero(robust_mask)
     if not robust.size:
         return by_edges
     fitted = visible.take(robust)

@@ -16,9 +16,9 @@ from skyherd.errors import InputError
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.native.follow_records import TRACK, FollowRequest
 from skyherd.vision.native.library import Library, declared
-from skyherd.vision.photometric import first_fit, refine
-from skyherd.vision.photometric.first_fit import fit_predicted
+from skyherd.vision.photometric import following, refine
 from skyherd.vision.photometric.fitting import fit
+from skyherd.vision.photometric.following import fit_predicted
 from skyherd.vision.photometric.state import CameraState
 
 TIME_S = 0.1
@@ -192,9 +192,9 @@ def test_bright_pixel_is_left_to_python(monkeypatch):
 @contextlib.contextmanager
 def fresh_constants():
     """Let the compiled library read changed constants meanwhile."""
-    first_fit.follow_constants.cache_clear()
+    following.follow_constants.cache_clear()
     yield
-    first_fit.follow_constants.cache_clear()
+    following.follow_constants.cache_clear()
 
 
 def test_large_markers_are_left_to_python():
@@ -266,4 +266,4 @@ def test_builds_follow_markers_with_equal_bytes(monkeypatch, name):
 def test_invalid_arguments_are_rejected(monkeypatch, change):
     request = request_of(monkeypatch)
     with pytest.raises(InputError):
-        first_fit.library().follow_markers(replace(request, **change(request)))
+        following.library().follow_markers(replace(request, **change(request)))

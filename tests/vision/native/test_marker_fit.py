@@ -23,7 +23,7 @@ from skyherd.vision.photometric.fitting.local_homography import LocalHomographie
 from skyherd.vision.photometric.fitting.occlusion import fit_visible, visible_constants
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.fitting.streak_evidence import streak_evidence
-from skyherd.vision.photometric.outlines import MAX_STEPS as OUTLINE_STEPS
+from skyherd.vision.photometric.remeasure import MAX_STEPS as OUTLINE_STEPS
 
 DICTIONARY = "4X4_50"
 SCENES = {

@@ -1,17 +1,19 @@
-"""Corners of detected markers with full covariances, each marker by itself: for poses in space.
+"""Detected markers measured again, each by itself: corners with covariances for poses, and light and blur.
 
 `Detections` have covariances of centre and heading, and their corners use what the markers of an image share.
-A pose in space follows from all eight numbers of a marker's homography. Here every marker is fitted once more
-with all of them free: no common plane, and no expected keystone. The corners are then unbiased whatever plane
-the marker lies on, and their errors are independent from marker to marker.
+A pose in space follows from all eight numbers of a marker's homography. `measure_outlines` fits every marker
+once more with all of them free: no common plane, and no expected keystone. The corners are then unbiased
+whatever plane the marker lies on, and their errors are independent from marker to marker.
+
+`measure_marker_images` gives light and blur, for the set-up of a camera.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, ComplexArray, to_points
-from skyherd.markers.dictionary import with_border
+from skyherd.markers.dictionary import cells_per_side, with_border
 from skyherd.messages import Detections, Quality
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.native.library import library
@@ -177,3 +179,39 @@ def _independent_errors(found: Detections) -> Array:
     variances = np.maximum(centers, headings)
     variances = np.where(variances > 0, variances, ASSUMED_STD_PX**2)
     return np.asarray(variances[:, None, None] * np.eye(8))
+
+
+@dataclass(frozen=True)
+class MarkerImages:
+    """Appearance of N markers in an image.
+
+    Attributes:
+        blacks: (N,) grey levels of black.
+        whites: (N,) grey levels of white.
+        blurs_cells: (N,) standard deviations of the blur, lens, motion and pixel together, in cells.
+    """
+
+    blacks: Array
+    whites: Array
+    blurs_cells: Array
+
+
+def measure_marker_images(image: Image, found: Detections, dictionary: str) -> MarkerImages:
+    """Return light and blur of detected markers, each from a fit of its own.
+
+    Args:
+        image: grey, (height, width), in which the markers were found.
+        found: the markers.
+        dictionary: name of the markers' dictionary.
+
+    Raises:
+        InputError: the image is not a grey one of 8 bits, or there is no such dictionary.
+    """
+    image = check_grey(image)
+    if not len(found):
+        return MarkerImages(*np.zeros((3, 0)))
+    start = LocalHomographies.of_quads(found.corners_px)
+    noise = image_noise(image)
+    fits, _ = fit_any_blur(image, dictionary, found.ids, start, START_SIGMA_PX, OWN_PLANES, noise, alone=True)
+    cells_px = fits.homographies.sides_px() / cells_per_side(dictionary)
+    return MarkerImages(fits.blacks, fits.blacks + fits.contrasts, fits.sigmas_px / cells_px)

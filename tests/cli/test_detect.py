@@ -2,6 +2,9 @@
 
 import csv
 import json
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -10,11 +13,13 @@ from PIL import Image
 from video_tags import tag_display
 
 from skyherd.cli import main
+from skyherd.cli.detect import _say_rejections
 from skyherd.files.video_reader import open_clip, read_clip
 from skyherd.files.video_writer import VideoSink, count_frames, read_frames
 from skyherd.inspection import inspector
 from skyherd.inspection.table import AGAINST
 from skyherd.markers.dictionary import marker_cells
+from skyherd.vision import Reason
 
 IDS = [4, 11, 30]
 
@@ -153,6 +158,20 @@ def test_explanation_of_a_repeated_id_names_the_option(here, capsys) -> None:
     assert "use each id once, or report all of them with --repeats" in call(capsys, "a.png", "--explain")[1]
 
 
+def test_many_rejections_of_one_reason_are_counted(capsys) -> None:
+    """A board of another dictionary has dozens of them; all are in the table."""
+    reasons = [Reason.WRONG_BITS] * 7 + [Reason.BLURRED] + [Reason.NO_BITS] * 2
+    rejections = [SimpleNamespace(reason=reason, words="why", center_px=(1, 2)) for reason in reasons]
+    result = SimpleNamespace(
+        file=Path("a.png"), frames=1, rejections=rejections, reasons=Counter(r.value for r in reasons)
+    )
+    _say_rejections(result)
+    head, *lines, rest = capsys.readouterr().out.splitlines()
+    assert head == "a.png: not detected:"
+    assert [line.split(".")[0].strip() for line in lines] == ["1", "2", "3", "4", "8"]
+    assert rest == "  and 3 x bits wrong, 2 x dark quadrilateral without bits"
+
+
 def test_rejections_have_number_position_and_remedy(here, capsys) -> None:
     image = sheet()
     small = cv2.resize(image, None, fx=0.12, fy=0.12, interpolation=cv2.INTER_AREA)
@@ -164,7 +183,7 @@ def test_rejections_have_number_position_and_remedy(here, capsys) -> None:
     Image.fromarray(image).save("small.png")
     _, out, _ = call(capsys, "small.png", "--explain")
     assert "1. at (" in out and ", at least 8 (most like id" in out and "print larger" in out
-    assert "more dark quadrilateral(s) without bits" in out
+    assert " x dark quadrilateral without bits" in out
     with open("detections/small/rejected.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert rows[0]["reason"] == "too few pixels" and float(rows[0]["cell_px"]) < 2

@@ -1,6 +1,7 @@
 """`skyherd detect`: find markers in pictures and videos, and say why others were not found."""
 
 import os
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,8 +28,9 @@ if TYPE_CHECKING:
 SHOWN_IDS = 16
 """Ids listed of one file before an ellipsis. Chosen: they fit on a line of 80 characters."""
 
-SHOWN_REJECTIONS = 20
-"""Rejected candidates listed of one picture; the rest are counted. Chosen: a screen's height."""
+SHOWN_REJECTIONS, SHOWN_OF_REASON = 20, 4
+"""Rejected candidates listed of one picture, and of one reason; the rest are counted. Chosen: a screen's
+height, and a few that differ in their numbers."""
 
 
 def detect(
@@ -163,14 +165,19 @@ def _say_rejections(result: "FileResult") -> None:
         return
     likely = [r for r in result.rejections if r.reason is not Reason.NO_BITS]
     say(f"{result.file.name}: not detected:")
-    for number, rejection in enumerate(likely[:SHOWN_REJECTIONS], start=1):
+    shown, rest = Counter[str](), Counter[str]()
+    for number, rejection in enumerate(likely, start=1):
+        reason = rejection.reason.value
+        if shown[reason] == SHOWN_OF_REASON or shown.total() == SHOWN_REJECTIONS:
+            rest[reason] += 1
+            continue
+        shown[reason] += 1
         u, v = rejection.center_px
-        say(f"  {number}. at ({u:.0f}, {v:.0f}): {rejection.reason.value}: {rejection.words}")
-    more = len(likely) - SHOWN_REJECTIONS, len(result.rejections) - len(likely)
-    kinds = "in the table", "dark quadrilateral(s) without bits"
-    rest = [f"{count} more {what}" for count, what in zip(more, kinds, strict=True) if count > 0]
+        say(f"  {number}. at ({u:.0f}, {v:.0f}): {reason}: {rejection.words}")
+    if plain := len(result.rejections) - len(likely):
+        rest["dark quadrilateral without bits"] = plain
     if rest:
-        say(f"  and {', '.join(rest)}")
+        say(f"  and {', '.join(f'{count} x {reason}' for reason, count in rest.items())}")
 
 
 def _pictures(results: list["FileResult"], folder: Path) -> str:

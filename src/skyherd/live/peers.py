@@ -78,7 +78,8 @@ class PeerClocks:
         limits: limits of trust in a clock.
 
     Args:
-        name, limits: as the attributes.
+        name: of this process.
+        limits: of trust in a clock.
         lab: digest of the lab file of this process; processes with another one are not trusted.
     """
 

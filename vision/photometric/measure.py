@@ -7,7 +7,8 @@
    then with a perspective of its own; and all under a streak of motion if the image has one.
 5. *Decide* about the rest by their log odds: a marker beyond doubt is reported though no fit explains its
    pixels. It is measured by a robust fit, or by its edges where that disagrees with them. A robust fit is
-   evidence too, and with one lower log odds suffice. `FitResults.qualities` says which.
+   evidence too, and with one lower log odds suffice. `FitResults.qualities` says which. This step also
+   accepts markers whose fit was refused for its blur.
 
 A verified fit is not asked for its likelihood, which would change little. Measured: of 1978 verified markers
 on photographs one has hopeless log odds. Of 30,000 shapes that are no markers one is accepted, a picture
@@ -152,7 +153,7 @@ def measure_candidates(
 def _fit(
     image: Image, dictionary: str, state: CameraState, ids: IntArray, start: LocalHomographies
 ) -> tuple[FitResults, Plane]:
-    """Fit candidates, coarse ones first, and return the plane that they lie on.
+    """Fit candidates coarsely, then those that are promising finely, and return the plane that they lie on.
 
     Where no plane explains the known markers, a few others are not asked for one.
     """
@@ -182,8 +183,8 @@ def verify_and_refit(
 ) -> tuple[FitResults, BoolArray, Plane, Weighed]:
     """Verify fits, refit those that are not verified, and decide about the rest by likelihood.
 
-    A fit that is refused for its blur is not refitted: of several fits the one with the least blur would
-    pass, which has the largest error.
+    A fit that is refused for its blur is not refitted alone: of several fits the one with the least blur
+    would pass, which has the largest error.
 
     Args:
         image: that was fitted, grey, (height, width).

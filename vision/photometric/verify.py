@@ -1,9 +1,9 @@
 """Whether a fit shows its marker: every bit is read again, and nothing but noise may be left.
 
-A fit counts if it passes three tests. Every cell has the right colour, by its residual. The residuals do not
-exceed the image's noise, or the share of the contrast that the processing of real cameras leaves of any
-model. That is 3 to 11 %, by demosaicing, denoising, sharpening and compression. Its print is that of the
-others.
+A fit counts if it passes all tests of `verification_tests`. The three that decide most: every cell has the
+right colour, by its residual. The residuals do not exceed the image's noise, or the share of the contrast
+that the processing of real cameras leaves of any model. That is 3 to 11 %, by demosaicing, denoising,
+sharpening and compression. Its print is that of the others. The others bound contrast, blur, shape and place.
 
 Residuals are measured in units of those that a cell of the wrong colour would leave (`WrongCellResiduals`).
 

@@ -19,8 +19,8 @@ SHRINK = 2
 long, a seventh of the detector's time on photographs."""
 
 DARKER = 8
-"""By how much dark pixels are below the mean of a window of 21 px, grey levels. Chosen as for the search of
-squares, whose larger window fills thick borders."""
+"""By how much dark pixels are below the mean of a window of 21 px, grey levels. Chosen: less
+than in the search of squares, since the opening has taken the extremes."""
 
 MIN_SIDE_PX = 10
 """Smallest width and height of a region, px of the small image. Chosen: a line as wide as the opening crosses

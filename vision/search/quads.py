@@ -148,7 +148,8 @@ def search_parameters(erosions: range, enlargement: int = 1) -> SearchParameters
 
     Args:
         erosions: numbers of erosions after which regions are searched.
-        enlargement: factor by which the image is enlarged. It scales the limits of area and boundary length.
+        enlargement: factor by which the image is enlarged, which scales the limit of the area. The limits of
+            sides and boundaries count in the enlarged image.
     """
     return SearchParameters(
         growth_px=GROWTH_PX,

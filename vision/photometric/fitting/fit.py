@@ -1,12 +1,12 @@
 """Markers fitted to pixels, as well as the noise allows.
 
-Each step is a Gauss-Newton step in all of a marker's unknowns at once (`design_matrix`). Two hypotheses are
-tried on all markers of the image together, since they are then better tested than on one marker
-(`common_unknowns`): that light does not change over the markers, and that the anisotropies are those of one
-plane (`plane`). Where they hold, the unknowns concerned are held, which leaves fewer to be estimated. The
-error after a step is of third order in the step, so that one step is enough from a good prediction. The
-compiled fit is `vision/native/marker_fit.c`, and its least squares `least_squares.c`. The covariance is
-`σ_n² (JᵀJ)⁻¹`, with the standard deviation of the noise σ_n from the residuals themselves.
+Each step is a Gauss-Newton step in all of a marker's unknowns at once (`design_matrix`). Three hypotheses
+are tried on all markers of the image together, since they are then better tested than on one marker
+(`common_unknowns`): that light does not change over the markers, that they share a tone curve, and that the
+anisotropies are those of one plane (`plane`). Where they hold, the unknowns concerned are held, which leaves
+fewer to be estimated. The error after a step is of third order in the step, so that one step is enough from
+a good prediction. The compiled fit is `vision/native/marker_fit.c`, and its least squares `least_squares.c`.
+The covariance is `σ_n² (JᵀJ)⁻¹`, with the standard deviation of the noise σ_n from the residuals themselves.
 
 All columns of a marker's model, together with its pixels, make one matrix of inner products. The solution x
 with every unknown free also gives the solution in which some of them, h, are held at values x_h = v,

@@ -1,6 +1,7 @@
 """A node in the graph of ROS 2: a Zenoh session with its publishers, subscriptions and tokens."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -78,7 +79,8 @@ class RosNode:
         except InputError:
             raise
         except Exception as error:  # Zenoh's error class derives directly from Exception.
-            words = " ".join(str(error).split()) or "no answer"
+            # The library appends places in its own source: `… at /root/…/orchestrator.rs:388.`
+            words = re.sub(r" at /\S+\.rs:\d+\.?", "", " ".join(str(error).split())) or "no answer"
             raise InputError(where, f"no router of Zenoh: {words}", "start rmw_zenohd there") from None
         self._id, self._entities = str(self._session.zid()), NODE_ID
         self._declared: list[Any] = [self._declare_token(place.node_token(self._id))]

@@ -20,7 +20,7 @@ from skyherd.files.video_writer import VideoSink
 from skyherd.loop import run_steps
 from skyherd.plots import panels
 from skyherd.plots.panels import PANELS, Panel, write_figures
-from skyherd.report.run_page import PAPER, write_page
+from skyherd.report.run_page import PAPER, _status, write_page
 
 WIDTHS = {"desktop": (1280, 900), "phone": (390, 844)}
 FEW = tuple(panel for panel in PANELS if panel.name in {"paths", "cost", "topology"})
@@ -281,3 +281,10 @@ def luminance(rgb: list[int]) -> float:
     share = np.array(rgb) / 255
     linear = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_number_and_per_cent_sign_of_the_status_stay_together() -> None:
+    """A phone breaks the line at the last space."""
+    assert (
+        _status({"verdict": "reached, with an error of 0.1 %."}).split(" ")[-1] == "0.1\N{NO-BREAK SPACE}%."
+    )

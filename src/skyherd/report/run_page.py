@@ -107,11 +107,14 @@ def _replay_attributes(path: Path, *, embed: bool) -> dict[str, str]:
 
 
 def _status(summary: Mapping[str, object]) -> str:
-    """Return the sentence at the top of the page: defects of the recording, if any, and the verdict."""
-    flaws = str(summary.get("recording", ""))
+    """Return the sentence at the top of the page: defects of the recording, if any, and the verdict.
+
+    No line breaks between a number and its per cent sign.
+    """
+    flaws, verdict = str(summary.get("recording", "")), str(summary["verdict"])
     if flaws and not flaws.startswith("cut short"):
-        return f"The recording is not intact ({flaws}). {summary['verdict']}"
-    return str(summary["verdict"])
+        verdict = f"The recording is not intact ({flaws}). {verdict}"
+    return verdict.replace(" %", "\N{NO-BREAK SPACE}%")
 
 
 def _meaning(field: Field, required: int) -> str:

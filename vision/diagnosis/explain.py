@@ -107,7 +107,7 @@ class Rejection:
 
     @property
     def rival(self) -> str:
-        """What else it is most likely to be; empty if its log odds are hopeless."""
+        """The likeliest of `RIVALS`; empty if the log odds are hopeless."""
         return RIVALS[int(np.argmin(self.against))] if np.isfinite(self.log_odds) else ""
 
 

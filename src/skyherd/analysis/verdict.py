@@ -197,12 +197,7 @@ def _out_of_radius(history: History, lost: IntArray) -> str:
     radius = scenario.selection.radius
     radii = views.radii[:, lost]
     if (radii.min(axis=0) <= radius).all():
-        inside = "inside a safety radius, but no unit took control"
-        side_px = _usual_side_px(history)
-        small = (
-            f", since markers {side_px:.2g} px wide are too small: at least {MIN_MARKER_PX:g} px are needed"
-        )
-        return inside + small * (side_px < MIN_MARKER_PX)
+        return "inside a safety radius, but no unit took control"
     if views.in_view[:, lost].any(axis=0).all():
         return (
             f"in view, but outside the safety radius of {radius:g} (selection.radius); "

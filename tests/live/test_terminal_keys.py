@@ -2,6 +2,7 @@
 
 import os
 import pty
+import select
 import signal
 import sys
 import termios
@@ -112,8 +113,9 @@ def process():
 
 def read_until(person: int, words: str) -> None:
     said, limit_s = "", time.monotonic() + 20
-    while words not in said and time.monotonic() < limit_s:
-        said += os.read(person, 4096).decode()
+    while words not in said and (left_s := limit_s - time.monotonic()) > 0:
+        if select.select([person], [], [], left_s)[0]:
+            said += os.read(person, 4096).decode()
     assert words in said
 
 

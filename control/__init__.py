@@ -40,6 +40,7 @@ from skyherd.control.rectification.rectifier import Rectifier, rectified
 from skyherd.control.robot_team import GoalFollowers, RobotClocks
 from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.latency_compensation import LatencyCompensation
+from skyherd.control.robots.motion_check import LAGS_S, MotionCheck, SeenPose
 from skyherd.control.robots.unicycle import (
     MarkerGains,
     PixelGains,
@@ -64,6 +65,7 @@ from skyherd.control.tree.node_state import TreeSettings
 from skyherd.control.tree.protocol import TreeProtocol
 
 __all__ = [
+    "LAGS_S",
     "NO_ROBOTS",
     "AerialController",
     "AvoidanceRule",
@@ -87,6 +89,7 @@ __all__ = [
     "LatencyCompensation",
     "LeadRule",
     "MarkerGains",
+    "MotionCheck",
     "NeighborMemory",
     "Perimeter",
     "PixelGains",
@@ -97,6 +100,7 @@ __all__ = [
     "RoleRule",
     "SafetyRadius",
     "Schedule",
+    "SeenPose",
     "Selection",
     "SelectionPolicy",
     "ShapeMotion",

@@ -97,6 +97,19 @@ class LatencyCompensation:
         )
         return current
 
+    def marker_poses(self, times_s: Array) -> tuple[ComplexArray, Array]:
+        """Return marker places (T, N), m, and headings (T, N), rad, at which a camera sees the robots.
+
+        Args:
+            times_s: (T,) times of images. Those before the first remembered command count as its time.
+        """
+        starts_s = np.array([knot[0] for knot in self._knots])
+        when_s = np.maximum(times_s - self.delay_s, starts_s[min(1, len(starts_s) - 1)])
+        knots = np.searchsorted(starts_s, when_s + TIME_TOLERANCE_S, side="right") - 1
+        poses = [self._pose_after(knot, time_s) for knot, time_s in zip(knots.tolist(), when_s, strict=True)]
+        places_m, headings_rad = (np.array(parts) for parts in zip(*poses, strict=True))
+        return places_m + self.axis_offset_m * np.exp(1j * headings_rad), headings_rad
+
     def headings_rad(self, times_s: Array, robots: IntArray) -> Array:
         """Return the headings (P,), rad, of robots (P,), by row, at times (P,).
 

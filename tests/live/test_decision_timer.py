@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 from live_sessions import Script
+from sightings import make_sighting
 
 from skyherd.live.mailbox import Arrival
 from skyherd.live.robot_process import MIN_SHARE, DecisionTimer
-from skyherd.live.wire import Envelope, Heartbeat, Sighting, Stop
+from skyherd.live.wire import Envelope, Heartbeat, Stop
 
 PERIOD_S = 0.1
 GOALS = Script().goals(0)
@@ -63,7 +64,7 @@ def test_decision_after_a_stop_at_once() -> None:
 
 @pytest.mark.parametrize(
     ("message", "robot"),
-    [(GOALS, 9), (Heartbeat({}), 1), (Sighting(0, 0.0, np.array([1]), np.array([], int)), 1)],
+    [(GOALS, 9), (Heartbeat({}), 1), (make_sighting(0.0, np.array([1])), 1)],
 )
 def test_other_messages_do_not_advance_the_decision(message, robot) -> None:
     np.testing.assert_array_equal(

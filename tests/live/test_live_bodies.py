@@ -4,10 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from sightings import make_sighting
 
 from skyherd.live.lab import Lab, load_lab
 from skyherd.live.robot_core import DRIVING, Order, RobotCore
-from skyherd.live.wire import Arm, Envelope, Heartbeat, Message, Sighting, Stop
+from skyherd.live.wire import Arm, Envelope, Heartbeat, Message, Stop
 from skyherd.messages import MotionGoals, Proximity
 
 ROBOT, OTHER, SIDE_M, PERIOD_S = 3, 4, 0.4, 0.1
@@ -36,7 +37,7 @@ class Scene:
         self.now_s += PERIOD_S
         self.core.decide(self.now_s)
         self._hear(Heartbeat({"robot/3": (self.now_s, self.now_s + self.offset_s)}))
-        self._hear(Sighting(0, self.now_s + self.offset_s, [ROBOT], []))
+        self._hear(make_sighting(self.now_s + self.offset_s, [ROBOT]))
         self.core.receive(Envelope("operator", self.now_s, Arm({"robot/3": self.core.session})), self.now_s)
 
     def _hear(self, message: Message) -> None:
@@ -55,7 +56,8 @@ class Scene:
     def see(self, *, bodies: bool = True, goal_rad: float | None = None) -> None:
         """Report an image taken now; the goal lies behind the other body, or in direction `goal_rad`."""
         taken_s = self.now_s + self.offset_s
-        self._hear(Sighting(0, taken_s, [ROBOT, OTHER], []))
+        center_px = np.conj(self.at_m) / SIDE_M * 20.0
+        self._hear(make_sighting(taken_s, [ROBOT], center_px=center_px, heading_rad=-self.heading_rad))
         bearing_rad = self.bearing_rad if goal_rad is None else goal_rad
         empty = np.zeros((1, 0))
         self._hear(MotionGoals(0, taken_s, [ROBOT], [400.0], [bearing_rad], [20.0], empty, empty))

@@ -257,7 +257,7 @@ class TestUnitProcess:
         monkeypatch.setattr(
             McapLog, "put", lambda log, topic, *rest: put(log, topic, *rest) if topic == "/about" else full()
         )
-        run_unit(context, 0, address=str(images), dry_run=True)
+        run_unit(context, 0, address=str(images))
         assert any("No space left on device; recording has ended" in line for line in lines)
 
     def test_deferred_search_follows_sending(self, tmp_path, monkeypatch) -> None:
@@ -271,7 +271,7 @@ class TestUnitProcess:
             DeferringDetector, "look_around", lambda own, image, *, unit_id: order.append(int(image[0, 0]))
         )
         context = context_of(tmp_path / "run", lambda line: None, lambda: order[-1:] == [90])
-        run_unit(context, 0, address=str(images), dry_run=True)
+        run_unit(context, 0, address=str(images))
         assert order[-3:] == ["looked", "reported", 90]
 
     @pytest.mark.parametrize("scenario", [five_markers, cubes])
@@ -291,7 +291,7 @@ class TestUnitProcess:
         lab["shape"] = {"points": tree["template"]["points"]}
         lab["markers"] = {"side_m": 0.25, "on_robots": tree["robots"]["markers"]}
         context = replace(context, lab=make_lab(lab))
-        run_unit(context, 0, address=str(images), dry_run=True)
+        run_unit(context, 0, address=str(images))
         records = [
             record
             for topic, record in read_process_log(tmp_path / "run" / "unit_0.mcap")

@@ -217,7 +217,7 @@ def test_only_refused_input_ends_a_supervised_process(monkeypatch, verb, error) 
     raised = [error]
 
     @contextmanager
-    def process(*options):
+    def process(*arguments, **options):
         raise raised[-1]
         yield
 

@@ -8,8 +8,10 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from sightings import make_sighting
 
 from skyherd.control import GoalInboxes, MarkerGains, Wheels
+from skyherd.control.robots.motion_check import STANDS, STRAYS
 from skyherd.live.drivers import SpeedLimits
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
 from skyherd.live.robot_core import (
@@ -23,7 +25,7 @@ from skyherd.live.robot_core import (
     RobotLimits,
 )
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
-from skyherd.live.wire import SESSION, Arm, Envelope, Heartbeat, Sighting, Stop
+from skyherd.live.wire import SESSION, Arm, Envelope, Heartbeat, Stop
 from skyherd.messages import MotionGoals, Proximity
 
 pytestmark = pytest.mark.smoke
@@ -79,7 +81,7 @@ class Scene:
 
     def see(self, age_s: float = 0.0, repeated=()) -> None:
         taken_s = self.now_s + self.offset_s - age_s
-        self.unit_says(Sighting(0, taken_s, [] if ROBOT in repeated else [ROBOT], list(repeated)))
+        self.unit_says(make_sighting(taken_s, [] if ROBOT in repeated else [ROBOT], list(repeated)))
         self.unit_says(goals(taken_s))
 
     def step(self):
@@ -102,6 +104,70 @@ class Scene:
             self.see()
             order = self.step()
         return order
+
+
+class TestMotion:
+    """A robot whose marker moves otherwise than its wheels were told is disarmed."""
+
+    @staticmethod
+    def drive(motion_checks, steps: int, side_px: float = 20.0, turn: float = 1.0, speed: float = 1.0):
+        """Drive for some steps, with a marker that moves by these shares of the commands."""
+        scene, place, heading = Scene(), 0j, 0.0
+        scene.core = make_core(motion_checks=motion_checks)
+        scene.wake()
+        scene.see()
+        scene.arm()
+        for _ in range(steps):
+            seen = {"center_px": place.conjugate(), "heading_rad": -heading}
+            scene.unit_says(make_sighting(scene.now_s, [ROBOT], **seen))
+            scene.unit_says(goals(scene.now_s))
+            order = scene.step()
+            heading += turn * order.omega_radps * STEP_S
+            place += speed * order.v_mps * STEP_S / 0.1 * side_px * np.exp(1j * heading)
+        return scene
+
+    def test_following_robot_drives_on(self) -> None:
+        assert self.drive({0: True}, 200).orders[-1].reason == DRIVING
+
+    @pytest.mark.parametrize(
+        ("wrong", "fault"), [({"turn": -1.0, "speed": -1.0}, STRAYS), ({"turn": 0, "speed": 0}, STANDS)]
+    )
+    def test_wrong_motion_disarms_until_the_next_arm_command(self, wrong, fault) -> None:
+        scene = self.drive({0: True}, 100, **wrong)
+        order = scene.orders[-1]
+        assert (order.reason, order.v_mps, order.omega_radps) == (f"disarmed; {fault}", 0.0, 0.0)
+        first = [order.reason for order in scene.orders].index(f"disarmed; {fault}")
+        assert 3.0 <= first * STEP_S <= 4.0
+        scene.arm()
+        scene.see()
+        assert scene.step().reason == DRIVING
+        scene.stop()
+        scene.core.receive(
+            Envelope("unit/0", scene.now_s, Heartbeat({}), latch=scene.core.latch.with_arm()), 0.0
+        )
+        scene.see()
+        assert scene.step().reason == "disarmed"
+
+    def test_flying_unit_judges_the_turn_alone(self) -> None:
+        assert self.drive({0: False}, 200, speed=-1.0).orders[-1].reason == DRIVING
+        assert STRAYS in self.drive({0: False}, 200, turn=-1.0).orders[-1].reason
+
+    def test_unit_that_does_not_judge_disarms_no_robot(self) -> None:
+        assert self.drive({1: True}, 200, turn=-1.0, speed=-1.0).orders[-1].reason == DRIVING
+
+    def test_motion_while_disarmed_does_not_count(self) -> None:
+        """Before the first drive a robot is carried to its place."""
+        scene = Scene()
+        scene.core = make_core(motion_checks={0: True})
+        scene.wake()
+        for step in range(200):
+            if step == 150:
+                scene.arm()
+            place = min(step, 150) * 3.0
+            scene.unit_says(make_sighting(scene.now_s, [ROBOT], center_px=place))
+            scene.unit_says(goals(scene.now_s, rho=0.0))
+            scene.step()
+        assert scene.core.armed
 
 
 class TestSession:
@@ -239,7 +305,7 @@ def test_goals_of_late_images_account_for_recorded_motion(monkeypatch) -> None:
             scene.core._motion.memory_s = memory_s
         scene.drive(30)
         scene.now_s += 0.1
-        scene.unit_says(Sighting(0, scene.now_s, [ROBOT], []))
+        scene.unit_says(make_sighting(scene.now_s, [ROBOT]))
         scene.core._team.inboxes = GoalInboxes(
             np.array([ROBOT]), np.array([0, 1]), LIMITS.goal_timeout_s, distances=False
         )
@@ -389,7 +455,7 @@ def test_messages_without_valid_clock_are_ignored() -> None:
     scene.wake()
     for _ in range(3):
         taken_s = scene.now_s
-        scene.core.receive(Envelope("unit/0", taken_s, Sighting(0, taken_s, [ROBOT], [])), math.inf)
+        scene.core.receive(Envelope("unit/0", taken_s, make_sighting(taken_s, [ROBOT])), math.inf)
         scene.core.receive(Envelope("unit/0", taken_s, goals(taken_s)), math.nan)
         assert scene.step().reason == "no unit sees its marker"
     assert not scene.core.is_ready(scene.now_s)
@@ -436,7 +502,7 @@ def test_goals_from_ambiguous_name_are_refused() -> None:
     scene.drive()
     for turn in range(40):
         taken_s = scene.now_s
-        for message in (Sighting(0, taken_s, [ROBOT], []), goals(taken_s)):
+        for message in (make_sighting(taken_s, [ROBOT]), goals(taken_s)):
             scene.core.receive(Envelope("unit/0", taken_s, message, "ab"[turn % 2]), taken_s)
         order = scene.step()
     assert order.v_mps == 0 and order.reason == "two processes are named unit/0"
@@ -447,7 +513,7 @@ def test_goals_of_restarted_unit_are_followed() -> None:
     scene.drive()
     for instance in ("b", "b", "c", "c"):
         taken_s = scene.now_s
-        for message in (Sighting(0, taken_s, [ROBOT], []), goals(taken_s)):
+        for message in (make_sighting(taken_s, [ROBOT]), goals(taken_s)):
             scene.core.receive(Envelope("unit/0", taken_s, message, instance), taken_s)
         assert scene.step().reason == DRIVING
 
@@ -460,7 +526,7 @@ def test_goal_ages_from_capture_of_its_image() -> None:
     scene.see(age_s=0.4)
     captured_s = scene.now_s - 0.4
     while scene.now_s < captured_s + LIMITS.goal_timeout_s + 0.2:
-        scene.unit_says(Sighting(0, scene.now_s, [ROBOT], []))
+        scene.unit_says(make_sighting(scene.now_s, [ROBOT]))
         order = scene.step()
         age_s = scene.now_s - captured_s
         if abs(age_s - LIMITS.goal_timeout_s) > 1e-6:
@@ -483,7 +549,7 @@ class TestStop:
         scene.see()
         assert scene.step().reason == DRIVING
 
-    @pytest.mark.parametrize("message", [Heartbeat({}), Arm({}), Sighting(0, 1e3, [ROBOT], [])])
+    @pytest.mark.parametrize("message", [Heartbeat({}), Arm({}), make_sighting(1e3, [ROBOT])])
     def test_newer_stop_in_any_message_disarms(self, message) -> None:
         scene = Scene()
         scene.drive()
@@ -569,7 +635,7 @@ def test_robot_after_sleep_waits_for_newly_sent_message() -> None:
     asleep = scene.now_s + 2.0
     scene.now_s = asleep
     sent_before = Envelope("unit/0", asleep - 0.01, goals(asleep - 0.01))
-    seen_before = Envelope("unit/0", asleep - 0.01, Sighting(0, asleep - 0.01, [ROBOT], []))
+    seen_before = Envelope("unit/0", asleep - 0.01, make_sighting(asleep - 0.01, [ROBOT]))
     assert "its own clock jumped" in scene.core.decide(scene.now_s).reason
     for envelope in (seen_before, sent_before):
         scene.core.receive(envelope, scene.now_s)
@@ -628,7 +694,7 @@ def test_watchdog_counts_the_uncertainty_of_clocks_as_age(slow) -> None:
     exchange = Heartbeat({"robot/3": (sent_s - up_s, sent_s)})
     scene.core.receive(Envelope("unit/0", sent_s, exchange), scene.now_s)
     assert scene.core.clocks.estimate("unit/0", scene.now_s).uncertainty_s == pytest.approx(0.09, abs=2e-3)
-    for message in (Sighting(0, sent_s, [ROBOT], []), goals(sent_s)):
+    for message in (make_sighting(sent_s, [ROBOT]), goals(sent_s)):
         scene.core.receive(Envelope("unit/0", sent_s, message), scene.now_s)
     scene.arm()
     while scene.step().reason == DRIVING:

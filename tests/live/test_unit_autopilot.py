@@ -19,7 +19,7 @@ def test_autopilot_receives_flight_commands_and_stop() -> None:
         camera = SimpleNamespace(driver=f"udp://127.0.0.1:{autopilot.getsockname()[1]}")
         lab = SimpleNamespace(camera=lambda unit: camera, speed_limits=SpeedLimits(acceleration_mps2=1e6))
         with ExitStack() as stack:
-            pilot = _autopilot(SimpleNamespace(lab=lab), None, stack, 2, dry_run=False)
+            pilot = _autopilot(SimpleNamespace(lab=lab, dry_run=False), None, stack, 2)
             assert pilot.trouble() is None
             pilot.fly(FlightCommand(2, np.array([0.0, -0.1]), climb_mps=0.0, yaw_rate_radps=0.0))
             lines = [autopilot.recv(100)]

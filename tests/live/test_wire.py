@@ -7,6 +7,7 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from sightings import make_sighting
 
 from skyherd.live.mailbox import MAX_ROUND_S, MAX_WAITING_BYTES, Air, Mailbox, matches
 from skyherd.live.wire import (
@@ -16,7 +17,6 @@ from skyherd.live.wire import (
     Envelope,
     Heartbeat,
     Refused,
-    Sighting,
     Stop,
     Wheels,
     decode,
@@ -46,7 +46,7 @@ def everything() -> list[Envelope]:
         MotionGoals(0, 5.25, [3], [1.5], [0.1], [20.0], [[1, 2]], [[3.5, 4.5]]),
         Proximity(0, 5.0, 8.0, [1, 2], [1], [2], [1.0], [0.5], [1.2], [0.5]),
         report,
-        Sighting(0, 5.0, [1, 2], [3]),
+        make_sighting(5.0, [1, 2], [3]),
         Heartbeat({"robot/3": (1.25, 1.5)}, "12 markers"),
         FlightCommand(0, [0.1, 0.2], 0.3, 0.4, 0.5),
     ]
@@ -214,7 +214,7 @@ class TestDecode:
             (b"[1]", "not a message of skyherd"),
             (b"x" * (MAX_BYTES + 1), "larger"),
             (changed(team="red"), "another team, 'red'"),
-            (changed(version=2), "of format '2', not 4"),
+            (changed(version=2), "of format '2', not 5"),
             (changed(version=True), "of format"),
             (changed(sender=5), "without a valid sender"),
             (changed(sender=""), "without a valid sender"),
@@ -296,6 +296,6 @@ class TestDecode:
         rng = np.random.default_rng(1)
         times_s = 1.7e9 + rng.uniform(0, 1e6, 50)
         for time_s in times_s.tolist():
-            sent = Envelope("unit/0", time_s, Sighting(0, time_s, [1], []))
+            sent = Envelope("unit/0", time_s, make_sighting(time_s, [1]))
             arrived = decode(encode(sent, TEAM), TEAM)
             assert arrived.sent_s == time_s and arrived.message.time_s == time_s

@@ -16,6 +16,7 @@ from live_sessions import BEGUN_S, Script, small_lab
 from pycocotools.coco import COCO
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
+from sightings import make_sighting
 
 from skyherd.analysis.goal_points import desired_points_px
 from skyherd.cli import choices
@@ -25,7 +26,6 @@ from skyherd.files.folder_record import RECORD
 from skyherd.files.image_streams import open_stream, read_stream
 from skyherd.live.logs.process_log import ProcessLog
 from skyherd.live.review import read_live_run
-from skyherd.live.wire import Sighting
 from skyherd.loop import run_steps
 from skyherd.messages import UnitReport
 from skyherd.recording.export import FORMATS, export_run, read_simulated
@@ -348,7 +348,7 @@ def live_folder(script, tmp_path_factory):
     )  # fmt: skip
     with ProcessLog(folder / "unit_1.mcap", "unit/1", script.lab, BEGUN_S) as log:
         log.saw(replace(empty_detections(), unit_id=1, time_s=captured_s), found_s)
-        messages = (Sighting(1, captured_s, np.array([2]), np.array([], dtype=int)), goals, report)
+        messages = (make_sighting(captured_s, np.array([2]), unit=1), goals, report)
         log.put("/sent", sent_s, {"messages": messages})
         log.put("/end", sent_s, {})
     return folder

@@ -68,6 +68,8 @@ def _process(
     insecure: bool,
     supervised: bool,
     clock_offset_s: float,
+    *,
+    dry_run: bool,
 ) -> "Iterator[tuple[ProcessContext, EndRequest]]":
     """Provide the context of a unit or robot of this name until a signal requests the end."""
     from skyherd.live.live_clock import LiveClock
@@ -78,7 +80,9 @@ def _process(
         lab.check_process(name)
         if supervised:
             threading.Thread(target=_read_to_end, args=[request], daemon=True).start()
-        context = ProcessContext(lab, radio, clock, folder, _tell, request.is_asked, supervised=supervised)
+        context = ProcessContext(
+            lab, radio, clock, folder, _tell, request.is_asked, supervised=supervised, dry_run=dry_run
+        )
         with context.claimed(name):
             yield context, request
 
@@ -103,11 +107,13 @@ def unit(
     name = f"unit/{number}"
     with (
         _crashing(supervised),
-        _process(lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s) as (context, end),
+        _process(
+            lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s, dry_run=dry_run
+        ) as (context, end),
     ):
         from skyherd.live.unit_process import run_unit
 
-        run_unit(context, number, address=camera, dry_run=dry_run, previews=preview)
+        run_unit(context, number, address=camera, previews=preview)
     return end.exit_code
 
 
@@ -127,11 +133,13 @@ def robot(
     name = f"robot/{marker}"
     with (
         _crashing(supervised),
-        _process(lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s) as (context, end),
+        _process(
+            lab_file, name, out_dir, settings, insecure, supervised, clock_offset_s, dry_run=dry_run
+        ) as (context, end),
     ):
         from skyherd.live.robot_process import run_robot
 
-        run_robot(context, marker, dry_run=dry_run)
+        run_robot(context, marker)
     return end.exit_code
 
 

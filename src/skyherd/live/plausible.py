@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.errors import MessageError
+from skyherd.live.sighting import Sighting
 from skyherd.messages import FlightCommand, MotionGoals, Proximity, UnitReport
 from skyherd.messages.ids import NO_ID
 from skyherd.messages.role_map import RoleMap
@@ -60,6 +61,11 @@ RANGES: Mapping[type, Mapping[str, tuple[float, float]]] = {
         "handed_slots": (-MAX_COUNT, MAX_COUNT),
     },
     RoleMap: {"version": (0.0, MAX_COUNT)},
+    Sighting: {
+        "centers_px": (-MAX_PX, MAX_PX),
+        "headings_rad": (-MAX_RAD, MAX_RAD),
+        "sides_px": (MIN_SIDE_PX, MAX_PX),
+    },
     FlightCommand: {
         "lateral_mps": (-MAX_SPEED, MAX_SPEED),
         "climb_mps": (-MAX_SPEED, MAX_SPEED),

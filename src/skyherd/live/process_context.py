@@ -37,6 +37,7 @@ class ProcessContext:
         tell: called with each status line.
         ended: called before each cycle; True ends the process.
         supervised: whether a session runs the process.
+        dry_run: whether commands to robots and autopilots are not sent.
     """
 
     lab: Lab
@@ -46,6 +47,7 @@ class ProcessContext:
     tell: Callable[[str], None]
     ended: Callable[[], bool] = lambda: False
     supervised: bool = False
+    dry_run: bool = False
 
     def mailbox(self, name: str, kinds: tuple[str, ...], latch: Callable[[], StopLatch]) -> Mailbox:
         """Return the mailbox of a process of this name. Its messages carry the latch from `latch()`."""
@@ -83,7 +85,9 @@ class ProcessContext:
             for number in range(10_000)
             if not (path := self.folder / f"{stem}{f'.{number}' if number else ''}.mcap").exists()
         )
-        return ProcessLog(path, name, self.lab, self.clock(), supervised=self.supervised)
+        return ProcessLog(
+            path, name, self.lab, self.clock(), supervised=self.supervised, dry_run=self.dry_run
+        )
 
 
 class StatusLine:

@@ -8,6 +8,8 @@ turn only while all of these conditions hold. The robot reports the first condit
 - if a session (`skyherd live run`) runs the robot, a heartbeat of it was heard within `SESSION_SILENCE_S`.
   Otherwise the robot is disarmed, and stays so when the session goes on;
 - the robot's clock is monotonic, without a gap between two decisions;
+- its marker moves in the images as its wheels were told (`skyherd.control.robots.motion_check`). Otherwise
+  the robot is disarmed;
 - a goal is fresh: its image is at most `goal_timeout_s` old, by compared clocks. This is the watchdog against
   stale goals;
 - a unit saw the robot's marker within `unseen_s`, and no unit has seen it at two places since;
@@ -19,25 +21,30 @@ Stopping is not limited: the command is zero at once, and the drive brakes.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from skyherd.control import (
+    LAGS_S,
     AvoidanceRule,
     GoalFollowers,
     GoalInboxes,
     LatencyCompensation,
+    MotionCheck,
     NeighborMemory,
     RobotLaw,
+    SeenPose,
     Wheels,
 )
 from skyherd.live.drivers.driver import HOLD_S
 from skyherd.live.drivers.limits import Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Motion
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
+from skyherd.live.sighting import Sighting
 from skyherd.live.stop_latch import NOT_HALTED, ArmState, StopLatch
-from skyherd.live.wire import SESSION, Arm, Envelope, Heartbeat, Sighting, Stop
+from skyherd.live.wire import SESSION, Arm, Envelope, Heartbeat, Stop
 from skyherd.messages import MotionGoals, Proximity, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
@@ -126,6 +133,8 @@ class RobotCore:
         avoidance: rule of collision avoidance; None without avoidance.
         lab: digest of the lab file.
         supervised: whether a session runs the robot, which must not drive while that is silent.
+        motion_checks: by unit, whether it does not fly (`MotionCheck.is_fixed`); units left out do not check
+            the robot's motion.
     """
 
     def __init__(
@@ -143,6 +152,7 @@ class RobotCore:
         avoidance: AvoidanceRule | None = None,
         lab: str = "",
         supervised: bool = False,
+        motion_checks: Mapping[int, bool] | None = None,
     ) -> None:
         self.robot_id, self.name, self.limits = robot_id, f"robot/{robot_id}", limits
         self.clocks, self._lab = PeerClocks(self.name, clock_limits, lab), lab
@@ -159,7 +169,8 @@ class RobotCore:
         self._doubled_s: float
         self._team: GoalFollowers
         self._limiter = Limiter(limits.speeds)
-        self._refused = ""
+        self._refused = self._fault = ""
+        self._fixed_units = motion_checks or {}
         self._trouble: str | None = None
         self._trouble_since_s = math.inf
         self._forget()
@@ -199,6 +210,7 @@ class RobotCore:
         if isinstance(message, Arm):
             if self.session and message.sessions.get(self.name) == self.session and self.is_ready(now_s):
                 self._arm_state = self._arm_state.arm(envelope.latch.cleared)
+                self._fault = ""
         elif isinstance(message, MotionGoals | Proximity | Sighting | Heartbeat):
             self._heard_since_woken |= self.clocks.was_sent_after(envelope, self._woke_s, now_s)
             if not isinstance(message, Heartbeat):
@@ -270,7 +282,7 @@ class RobotCore:
             return UNSEEN
         if not self._heard_since_woken:
             return "no message from a unit since the process started or woke up"
-        return None if self.armed else "disarmed"
+        return None if self.armed else "; ".join(filter(None, ("disarmed", self._fault)))
 
     def _note_trouble(self, trouble: str | None, now_s: float) -> None:
         """Note the trouble of the link, and disarm after `MAX_TROUBLE_S` of it."""
@@ -336,6 +348,7 @@ class RobotCore:
                 self._doubled_s = max(self._doubled_s, min(now_s, now_s - age_s))
             elif self.robot_id in message.ids:
                 self._seen_s = max(self._seen_s, min(now_s, now_s - oldest_s))
+                self._check_motion(message, now_s - age_s)
             return
         mine = np.asarray(message.ids == self.robot_id)
         if isinstance(message, MotionGoals):
@@ -344,6 +357,36 @@ class RobotCore:
                 self._team.inboxes.receive(ours, min(now_s, ours.time_s - known.uncertainty_s))
         elif self._team.neighbors is not None:
             self._team.neighbors.receive(self.clocks.in_our_time(message, sender, now_s), mine)
+
+    def _check_motion(self, sighting: Sighting, taken_s: float) -> None:
+        """Disarm the robot if its marker moves otherwise than its wheels were told since it was armed.
+
+        Args:
+            sighting: an image of a unit, with the robot's marker.
+            taken_s: time of the image on our clock.
+        """
+        unit = sighting.unit_id
+        if unit not in self._fixed_units:
+            return
+        if not self.armed:
+            self._motion_checks.clear()
+            return
+        row = int(np.flatnonzero(sighting.ids == self.robot_id)[0])
+        places_m, headings_rad = self._motion.marker_poses(taken_s - np.array(LAGS_S))
+        pose = SeenPose(
+            time_s=taken_s,
+            center_px=complex(*sighting.centers_px[row]),
+            heading_rad=float(sighting.headings_rad[row]),
+            side_px=float(sighting.sides_px[row]),
+            commanded_sides=places_m[:, 0] / self._side_m,
+            commanded_rad=headings_rad[:, 0],
+        )
+        speeds = self.limits.speeds
+        limits = np.array([speeds.speed_mps / self._side_m, speeds.turn_radps])
+        check = self._motion_checks.setdefault(unit, MotionCheck(limits, is_fixed=self._fixed_units[unit]))
+        if fault := check.look(pose):
+            self._arm_state, self._fault = self._arm_state.disarm(), fault
+            self._motion_checks.clear()
 
     def _forget(self) -> None:
         """Reset goals, sightings and motion to the state after the start."""
@@ -356,9 +399,10 @@ class RobotCore:
             self._side_m,
             axis_offset_m=self._wheels.axis_offset_m,
             delay_s=self._delay_s,
-            memory_s=self.limits.goal_timeout_s + FUTURE_S,
+            memory_s=self.limits.goal_timeout_s + FUTURE_S + max(LAGS_S),
             hold_s=HOLD_S,
         )
+        self._motion_checks: dict[int, MotionCheck] = {}
         self._limiter.last = STILL
         self._seen_s = self._doubled_s = -math.inf
         neighbors = None

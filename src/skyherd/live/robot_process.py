@@ -5,7 +5,7 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from skyherd.live.drivers import WORLD, Motion, RobotDriver, open_driver
+from skyherd.live.drivers import DRY_RUN, WORLD, Motion, RobotDriver, open_driver
 from skyherd.live.mailbox import Arrival, Mailbox
 from skyherd.live.process_context import HeartbeatTimer, ProcessContext, StatusLine
 from skyherd.live.robot_core import DRIVING, Order
@@ -28,7 +28,7 @@ MIN_SHARE = 0.2
 bursts. At 0.1, decisions would occupy a robot under many cameras."""
 
 
-DRY_RUN = " (dry run)"
+DRY_RUN_NOTE = " (dry run)"
 """Suffix of the state in the heartbeats of a robot without wheels, which units do not expect to move."""
 
 
@@ -80,22 +80,21 @@ class WorldWheels:
         """Do nothing: the mailbox belongs to the process."""
 
 
-def run_robot(context: ProcessContext, robot_id: int, *, dry_run: bool = False) -> None:
+def run_robot(context: ProcessContext, robot_id: int) -> None:
     """Run one robot until `context.ended()`. The wheels stop at the end, also after an error.
 
     Args:
         context: resources of the process.
         robot_id: id of the robot's marker.
-        dry_run: print commands instead of sending them.
     """
     lab, clock = context.lab, context.clock
-    core = lab.make_robot(robot_id, supervised=context.supervised)
+    core = lab.make_robot(robot_id, supervised=context.supervised, dry_run=context.dry_run)
     mailbox = context.mailbox(core.name, (*HEARS, f"heartbeat/{core.name}"), lambda: core.latch)
     with ExitStack() as stack:
         process_log = stack.enter_context(context.process_log(core.name))
-        driver = stack.enter_context(_driver(context, mailbox, robot_id, dry_run=dry_run))
+        driver = stack.enter_context(_driver(context, mailbox, robot_id))
         status = StatusLine(context, process_log)
-        note = DRY_RUN if dry_run or lab.robot(robot_id).driver == "dry-run" else ""
+        note = DRY_RUN_NOTE if context.dry_run or lab.robot(robot_id).driver == DRY_RUN else ""
         heartbeats = HeartbeatTimer()
         timer = DecisionTimer(lab.model.limits.period_s, time.monotonic())
         while not context.ended():
@@ -135,9 +134,9 @@ def _state(order: Order, trouble: str | None) -> str:
     return "; ".join(filter(None, (reason, trouble)))
 
 
-def _driver(context: ProcessContext, mailbox: Mailbox, robot_id: int, *, dry_run: bool) -> RobotDriver:
+def _driver(context: ProcessContext, mailbox: Mailbox, robot_id: int) -> RobotDriver:
     lab = context.lab
-    address = "dry-run" if dry_run else lab.robot(robot_id).driver
+    address = DRY_RUN if context.dry_run else lab.robot(robot_id).driver
     if address == WORLD:
         return RobotDriver(WorldWheels(mailbox, robot_id), robot_id=robot_id, limits=lab.speed_limits)
     return open_driver(address, robot_id=robot_id, limits=lab.speed_limits)

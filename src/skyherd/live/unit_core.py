@@ -18,8 +18,9 @@ from skyherd.control import AerialController, Decision
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
 from skyherd.live.plausible import Roster
 from skyherd.live.robot_core import DRIVING, FUTURE_S, MAX_GAP_S
+from skyherd.live.sighting import Sighting
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
-from skyherd.live.wire import Envelope, Heartbeat, Message, Sighting
+from skyherd.live.wire import Envelope, Heartbeat, Message
 from skyherd.messages import Detections, FlightCommand, UnitReport
 
 HEARTBEAT_LIFE_S = 1.0
@@ -149,11 +150,15 @@ class UnitCore:
         if decision.suspicion:
             self.trouble = decision.suspicion
             return UnitNews(decision, ())
+        single = detections.unambiguous()
         sighting = Sighting(
-            self.unit_id,
-            detections.time_s,
-            detections.unambiguous().ids,
-            np.unique(detections.ids[detections.repeated]),
+            unit_id=self.unit_id,
+            time_s=detections.time_s,
+            ids=single.ids,
+            repeated_ids=np.unique(detections.ids[detections.repeated]),
+            centers_px=single.centers_px,
+            headings_rad=single.headings_rad,
+            sides_px=single.sides_px,
         )
         commands = () if self.withheld(now_s) else (decision.goals, decision.proximity)
         news = [message for message in commands if message is not None]

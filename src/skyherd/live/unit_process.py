@@ -35,7 +35,6 @@ def run_unit(
     unit: int,
     *,
     address: str | None = None,
-    dry_run: bool = False,
     previews: bool = False,
 ) -> None:
     """Run one unit until `context.ended()`, or until the end of a recorded video.
@@ -44,7 +43,6 @@ def run_unit(
         context: resources of the process.
         unit: its number.
         address: address of a camera instead of the lab's.
-        dry_run: send no flight commands.
         previews: write pictures for the page of the run into the folder of the recordings.
 
     Raises:
@@ -69,7 +67,7 @@ def run_unit(
             FrameLog(unit, pictures.image_rate_hz, pictures.image_width_px, side_m, meter)
         )
         preview = stack.enter_context(PreviewWriter(context.folder / PREVIEWS if previews else None, unit))
-        autopilot = _autopilot(context, mailbox, stack, unit, dry_run=dry_run)
+        autopilot = _autopilot(context, mailbox, stack, unit)
         at_work = UnitAtWork(
             context, core, mailbox, reader, detector, autopilot, process_log, frame_log, preview, status
         )
@@ -254,12 +252,10 @@ def _open(context: ProcessContext, status: StatusLine, address: str) -> CameraRe
     return None
 
 
-def _autopilot(
-    context: ProcessContext, mailbox: Mailbox, stack: ExitStack, unit: int, *, dry_run: bool
-) -> Autopilot:
+def _autopilot(context: ProcessContext, mailbox: Mailbox, stack: ExitStack, unit: int) -> Autopilot:
     """Return the autopilot of a unit, which sends its flight commands."""
     address = context.lab.camera(unit).driver
-    if address is None or dry_run:
+    if address is None or context.dry_run:
         return Autopilot(lambda command: None)
     if address == WORLD:
         return Autopilot(mailbox.send)

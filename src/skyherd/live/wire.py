@@ -25,18 +25,16 @@ from typing import Any, TypeGuard
 import orjson
 
 from skyherd.errors import MessageError
-from skyherd.geometry import IntArray
 from skyherd.live.plausible import check_ranges
+from skyherd.live.sighting import Sighting
 from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, NOT_HALTED, StopLatch
 from skyherd.messages import FlightCommand, MotionGoals, Proximity, UnitReport
-from skyherd.messages.checks import check_time
-from skyherd.messages.frozen_arrays import freeze_ids
 from skyherd.messages.role_map import RoleMap
 from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain, to_json
 from skyherd.text import printable, shorten
 
-VERSION = 4
+VERSION = 5
 """Version of the format. It increases with every change that an older process would misread."""
 
 MAX_BYTES = 1 << 18
@@ -52,31 +50,6 @@ MAX_NAME = 40
 LATEST_S = 1e10
 """Largest valid time stamp, s. Chosen: three centuries after 1970. Sums of two stamps stay exact to about two
 microseconds."""
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """The markers detected in one image.
-
-    Attributes:
-        unit_id: the unit that took the image.
-        time_s: time of capture.
-        ids: (N,) markers detected once.
-        repeated_ids: (M,) markers detected at several places, so that the robot's position is ambiguous.
-
-    Raises:
-        MessageError: an id is negative or occurs twice, or the time is not a number.
-    """
-
-    unit_id: int
-    time_s: float
-    ids: IntArray
-    repeated_ids: IntArray
-
-    def __post_init__(self) -> None:
-        check_time(self)
-        freeze_ids(self, "ids")
-        freeze_ids(self, "repeated_ids")
 
 
 @dataclass(frozen=True)

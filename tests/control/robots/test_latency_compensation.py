@@ -120,3 +120,28 @@ def test_headings_follow_commands_until_they_expire() -> None:
     robots = np.array([0, 1, 0, 0, 0, 1, 0, 1])
     expected_rad = [0.0, -0.25, 0.375, 0.5, 0.5, -0.25, 0.5, 0.0]
     np.testing.assert_allclose(motion.headings_rad(times_s, robots), expected_rad, atol=1e-12)
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.12])
+def test_marker_poses_are_those_that_a_camera_sees(offset_m) -> None:
+    """The simulator's arcs, with a delay of three steps; half-way between two commands too."""
+    rng, delay_steps = np.random.default_rng(12), 3
+    commands = rng.normal(0, 1, (20, 2, ROBOTS))
+    motion = LatencyCompensation(
+        ROBOTS, SIDE_M, axis_offset_m=offset_m, delay_s=delay_steps * STEP_S, memory_s=100.0
+    )
+    headings = np.zeros(ROBOTS)
+    markers = to_points(np.full(ROBOTS, offset_m, dtype=complex))
+    seen, times_s = [], []
+    for step, command in enumerate(commands):
+        motion.record(VelocityCommand(range(ROBOTS), *command), step * STEP_S)
+        obeyed = commands[step - delay_steps] if step >= delay_steps else np.zeros((2, ROBOTS))
+        for part in range(2):
+            seen.append((to_complex(markers), headings))
+            times_s.append((step + part / 2) * STEP_S)
+            markers, headings = move_bodies(
+                markers, headings, *obeyed, step_s=STEP_S / 2, axis_offset_m=offset_m
+            )
+    places_m, headings_rad = motion.marker_poses(np.array(times_s))
+    np.testing.assert_allclose(places_m, [place for place, _ in seen], atol=1e-12)
+    np.testing.assert_allclose(headings_rad, [heading for _, heading in seen], atol=1e-12)

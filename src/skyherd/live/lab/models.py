@@ -109,6 +109,10 @@ class LabControl(Model):
         description="whether units compare their images with the commanded motion, and send nothing while "
         "their camera seems to be frozen or to replay old images",
     )
+    motion_check: bool = Field(
+        True,
+        description="whether a robot whose marker moves otherwise than its wheels were told is disarmed",
+    )
     rectify: bool = Field(
         True, description="whether to estimate tilt and lens of the cameras from the markers"
     )

@@ -29,6 +29,7 @@ from skyherd.control import (
 from skyherd.datasets import RolesModel
 from skyherd.errors import InputError
 from skyherd.geometry import Image
+from skyherd.live.drivers.addresses import DRY_RUN
 from skyherd.live.drivers.driver import HOLD_S, RATE_HZ
 from skyherd.live.drivers.limits import SpeedLimits
 from skyherd.live.lab.checks import make_lab_layout
@@ -252,18 +253,20 @@ class Lab:
             limits.max_turn_accel_radps2,
         )
 
-    def make_robot(self, robot_id: int, *, supervised: bool = False) -> RobotCore:
+    def make_robot(self, robot_id: int, *, supervised: bool = False, dry_run: bool = False) -> RobotCore:
         """Return the core of one robot: its decisions without I/O.
 
         Args:
             robot_id: number of the robot.
             supervised: whether a session runs the robot, without which it must not drive.
+            dry_run: whether its commands are not sent, so that it need not move.
 
         Raises:
             InputError: no robot has this marker.
         """
-        self.robot(robot_id)
-        control, limits = self.model.control, self.model.limits
+        driver, control, limits = self.robot(robot_id).driver, self.model.control, self.model.limits
+        moves = driver != DRY_RUN and not dry_run
+        fixed = {unit: camera.flight is None for unit, camera in enumerate(self.model.cameras)}
         return RobotCore(
             robot_id,
             list(range(len(self.model.cameras))),
@@ -277,4 +280,5 @@ class Lab:
             avoidance=self.make_avoidance(),
             lab=self.digest,
             supervised=supervised,
+            motion_checks=fixed if moves and control.motion_check else {},
         )

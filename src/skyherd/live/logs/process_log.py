@@ -67,12 +67,22 @@ class ProcessLog:
         lab: the set-up.
         now_s: current time.
         supervised: whether a session runs the process.
+        dry_run: whether its commands are not sent.
 
     Raises:
         OSError: the file cannot be created.
     """
 
-    def __init__(self, path: Path, name: str, lab: Lab, now_s: float, *, supervised: bool = False) -> None:
+    def __init__(
+        self,
+        path: Path,
+        name: str,
+        lab: Lab,
+        now_s: float,
+        *,
+        supervised: bool = False,
+        dry_run: bool = False,
+    ) -> None:
         self.trouble: str | None = None
         self._path = path
         topics = topics_of(name)
@@ -81,6 +91,7 @@ class ProcessLog:
             "name": name,
             "lab": lab.model.model_dump(mode="json"),
             "supervised": supervised,
+            "dry_run": dry_run,
             "version": __version__,
             "format": VERSION,
             "topics": list(topics),

@@ -48,7 +48,8 @@ def replay(path: Path) -> Replayed:
                 check_format(record, path)
                 name = record["name"]
                 lab = make_lab(record["lab"], where=str(path))
-                core = _core(name, lab, supervised=bool(record["supervised"]))
+                options = {option: bool(record[option]) for option in ("supervised", "dry_run")}
+                core = _core(name, lab, **options)
         elif core is None:
             break
         elif topic == "/heard":
@@ -77,8 +78,8 @@ def _decide(core: RobotCore, record: dict[str, Any]) -> bytes:
     return to_json(core.decide(record["now_s"], record["trouble"]))
 
 
-def _core(name: str, lab: Lab, *, supervised: bool) -> RobotCore | UnitCore:
+def _core(name: str, lab: Lab, *, supervised: bool, dry_run: bool) -> RobotCore | UnitCore:
     kind, _, number = name.partition("/")
     if kind == "robot":
-        return lab.make_robot(int(number), supervised=supervised)
+        return lab.make_robot(int(number), supervised=supervised, dry_run=dry_run)
     return lab.make_unit(int(number))

@@ -157,6 +157,7 @@ def _font(size_px: int, bold: bool) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(folder / "mpl-data" / "fonts" / "ttf" / name, size_px)
 
 
+@lru_cache(maxsize=4096)
 def text_width(text: str, size_px: int = 13, *, bold: bool = False) -> float:
     """Return the width of a line of text, px, in a font of `size_px`."""
     return float(_font(size_px, bold).getlength(text))
@@ -190,15 +191,15 @@ class _Sprite:
 def _sprite(text: str, size_px: int, bold: bool, align: Align, color: Color, halo: Color | None) -> _Sprite:
     font, pad = _font(size_px, bold), 3
     ascent, descent = font.getmetrics()
-    length = font.getlength(text)
+    length = text_width(text, size_px, bold=bold)
     mask = PillowImage.new("L", (int(np.ceil(length)) + 2 * pad, ascent + descent + 2 * pad))
     ImageDraw.Draw(mask).text((pad, pad), text, fill=255, font=font)
-    ink = np.asarray(mask, dtype=np.float64)[..., None] / 255
-    add, keep = ink * color, 1 - ink
+    ink = np.asarray(mask, dtype=np.float32)[..., None] / np.float32(255)
+    add, keep = ink * np.float32(color), 1 - ink
     if halo is not None:
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-        around = cv2.GaussianBlur(cv2.dilate(np.asarray(mask), disc), (3, 3), 0)[..., None] / 255
-        add, keep = add + keep * around * halo, keep * (1 - around)
+        around = cv2.GaussianBlur(cv2.dilate(np.asarray(mask), disc), (3, 3), 0)[..., None] / np.float32(255)
+        add, keep = add + keep * around * np.float32(halo), keep * (1 - around)
     anchor = {"left": 0.0, "center": length / 2, "right": length}[align]
     return _Sprite(
         np.floor(keep * 256).astype(np.uint16),

@@ -201,11 +201,11 @@ class CameraPanel:
                 fill_polygon(self._picture, corners, (0, 0, 0))
             return
         height, width = self._grey.shape
-        # Halving is quick, and means over areas of other sizes take long: two steps take half the time.
+        # Halving is quick, and means over areas of other sizes take long. Less than a halving needs no means.
         while image.shape[0] >= 2 * height and not (image.shape[0] % 2 or image.shape[1] % 2):
             half = image.shape[1] // 2, image.shape[0] // 2
             image = np.asarray(cv2.resize(image, half, interpolation=cv2.INTER_AREA), dtype=np.uint8)
-        cv2.resize(image, (width, height), dst=self._grey, interpolation=cv2.INTER_AREA)
+        cv2.resize(image, (width, height), dst=self._grey, interpolation=cv2.INTER_LINEAR)
         cv2.LUT(self._grey, _CURVE, dst=self._grey)
         cv2.cvtColor(self._grey, cv2.COLOR_GRAY2RGB, dst=self._picture)
 

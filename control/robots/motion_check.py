@@ -39,9 +39,10 @@ LAGS_S = (0.0, 0.3, 0.6)
 """Lags of a robot's motion behind its commands, s, beyond the known latency. Chosen: up to the default
 time for which a robot follows a goal."""
 
-MIN_MOTION = 1.0
-"""Smallest norm of the motions seen or commanded for a judgement, sides or rad. Chosen: above the noise of a
-marker, 0.003 sides: five steps at 0.45 sides/s."""
+MIN_MOTION = 2.0
+"""Smallest norm of the motions seen or commanded for a judgement, sides or rad. Chosen: five steps at 0.9
+sides/s. A robot that turns to and fro at its goal has less. At 1 a noisy one is accused once in ten
+minutes."""
 
 RESPONSE = 0.2
 """Smallest ratio of the lesser of both motions to the greater one. Chosen: as for a unit's check of its

@@ -4,20 +4,12 @@ import re
 
 import pytest
 import typer
-from command_line import call
+from command_line import call, verbs
 
 from skyherd.cli import app
 from skyherd.cli.help import summary, write_rows
 
 GROUP = typer.main.get_command(app)
-
-
-def verbs(command=GROUP, words=()):
-    yield words, command
-    for name, below in getattr(command, "commands", {}).items():
-        yield from verbs(below, (*words, name))
-
-
 ALL = list(verbs())
 
 

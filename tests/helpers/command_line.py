@@ -1,8 +1,20 @@
 """Calls of the command line in this process, and checks of refusals."""
 
-import pytest
+from collections.abc import Iterator
+from typing import Any
 
-from skyherd.cli import main
+import pytest
+import typer
+
+from skyherd.cli import app, main
+
+
+def verbs(command: Any = None, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Yield the words and the command of each verb and group of verbs, first of the program itself."""
+    command = command or typer.main.get_command(app)
+    yield words, command
+    for name, below in getattr(command, "commands", {}).items():
+        yield from verbs(below, (*words, name))
 
 
 def call(capsys, *arguments):

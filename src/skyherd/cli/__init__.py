@@ -10,7 +10,7 @@ contradiction; 2 bad input or output; 130 interrupted.
 
 import io
 import sys
-from typing import Any, cast
+from typing import Any
 
 import typer
 
@@ -42,10 +42,6 @@ from skyherd.cli.track import track
 from skyherd.cli.view import view
 from skyherd.errors import InputError, SkyherdError
 from skyherd.version import __version__
-
-UsageError: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
-"""Root of what Typer raises for wrong arguments: click's, or that of its own copy of click."""
-
 
 SUMMARY = "Steer ground robots into a shape by what uncalibrated flying cameras see."
 """The first line of the help."""
@@ -141,11 +137,6 @@ def main(arguments: list[str] | None = None) -> None:
         _check_none_is_empty(sys.argv[1:] if arguments is None else arguments)
         with signals_as_interrupts(), printing_input_warnings():
             code = app(arguments, standalone_mode=False, prog_name="skyherd")
-    except UsageError as error:
-        context = cast(Any, error).ctx
-        verb = "skyherd" if context is None else context.command_path
-        complain(f"{cast(Any, error).format_message()}; see `{verb} --help`")
-        code = 2
     except SkyherdError as error:
         for line in error.lines if isinstance(error, InputError) else [str(error)]:
             complain(line)

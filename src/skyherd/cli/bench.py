@@ -9,6 +9,7 @@ import typer
 from skyherd.cli.choices import DETECTORS, complete_dictionary
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
+from skyherd.cli.options import Jobs
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -61,12 +62,12 @@ def detectors(
         ),
     ] = "4X4_50",
     seed: Annotated[int, typer.Option(metavar="N", help="Seed of all frames.")] = 1,
-    jobs: Annotated[
-        int | None, typer.Option(metavar="N", help="Use this many processes instead of one for each core.")
-    ] = None,
+    jobs: Jobs = None,
     clutter_images: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Search this many images without a marker for false positives."),
+        typer.Option(
+            metavar="N", min=0, help="Search this many images without a marker for false positives."
+        ),
     ] = None,
     uncorrected: Annotated[
         bool,
@@ -90,7 +91,7 @@ def detectors(
     from skyherd.files.output_folder import OutputFolder
 
     chosen = _split(names) or default_entrants()
-    _check(chosen, jobs, clutter_images, seed)
+    _check(chosen, seed)
     if names is None and (missing := missing_libraries()):
         warn(f"{', '.join(missing)} left out: pip install skyherd[peers]")
     images = {} if clutter_images is None else {"clutter_images": clutter_images}
@@ -113,7 +114,9 @@ def detectors(
     return 0
 
 
-Folder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the photographs.")]
+Folder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="Folder of the photographs, such as pictures/desk.")
+]
 SetsFile = Annotated[
     Path | None,
     typer.Option(
@@ -218,7 +221,7 @@ def _chosen_and_judges(names: str | None) -> tuple[list[str], list[str]]:
     from skyherd.bench.photographs.measurement import JUDGES
 
     chosen = _split(names) or [name for name in default_entrants() if name != "tracking"]
-    _check(chosen, None, None)
+    _check(chosen)
     if missing := missing_libraries():
         warn(f"{', '.join(missing)} cannot confirm any marker: pip install skyherd[peers]")
     return chosen, [name for name in JUDGES if name not in missing]
@@ -238,17 +241,13 @@ def _split(names: str | None) -> list[str]:
     return [name.strip() for name in (names or "").split(",") if name.strip()]
 
 
-def _check(chosen: list[str], jobs: int | None, clutter_images: int | None, seed: int = 0) -> None:
+def _check(chosen: list[str], seed: int = 0) -> None:
     """Check the options.
 
     Raises:
-        InputError: a detector is named twice, or a number is out of range.
+        InputError: a detector is named twice, or the seed is out of range.
     """
     if repeated := sorted({name for name in chosen if chosen.count(name) > 1}):
         raise InputError("--detectors", f"{', '.join(repeated)} named twice", "each detector once")
-    if jobs is not None and jobs < 1:
-        raise InputError("--jobs", str(jobs), "1 or more")
     if not 0 <= seed < MAX_SEED:
         raise InputError("--seed", str(seed), "0 or more, and below 2 to the power of 63")
-    if clutter_images is not None and clutter_images < 0:
-        raise InputError("--clutter-images", str(clutter_images), "0 or more")

@@ -10,7 +10,7 @@ import typer
 from skyherd.cli.choices import complete_spec
 from skyherd.cli.console import ProgressReporter, complain, say, say_table
 from skyherd.cli.interrupts import telling_of_interrupts
-from skyherd.errors import InputError
+from skyherd.cli.options import Jobs
 
 if TYPE_CHECKING:
     from skyherd.datasets.labelled.check import Verdict
@@ -22,7 +22,11 @@ dataset_app = typer.Typer(help="Make labelled image sets, and check them.", rich
 def make(
     spec: Annotated[
         str,
-        typer.Argument(metavar="SPEC", help="A built-in spec or a TOML file.", autocompletion=complete_spec),
+        typer.Argument(
+            metavar="SPEC",
+            help="A built-in spec, such as small, or a TOML file.",
+            autocompletion=complete_spec,
+        ),
     ],
     out_dir: Annotated[
         Path | None,
@@ -30,9 +34,7 @@ def make(
             "--out", metavar="DIR", show_default="labelled/NAME", help="Write the set into this folder."
         ),
     ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(metavar="N", help="Use this many processes instead of one for each core.")
-    ] = None,
+    jobs: Jobs = None,
     seed: Annotated[
         int | None, typer.Option(metavar="N", help="Replace the spec's seed of all random draws.")
     ] = None,
@@ -48,8 +50,6 @@ def make(
     from skyherd.datasets.labelled.make import make_dataset
     from skyherd.datasets.labelled.spec import load_spec
 
-    if jobs is not None and jobs < 1:
-        raise InputError("--jobs", str(jobs), "1 or more")
     file = load_spec(spec, seed=seed, images=images)
     folder = out_dir or Path("labelled") / Path(spec).stem
     with (
@@ -64,11 +64,14 @@ def make(
 @dataset_app.command()
 def check(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="The folder of a set that `skyherd dataset make` made.")
+        Path,
+        typer.Argument(
+            metavar="DIR", help="The folder of a set of `skyherd dataset make`, such as labelled/small."
+        ),
     ],
     sample: Annotated[
         int,
-        typer.Option(metavar="N", help="Draw this many images again, and run the detector on them."),
+        typer.Option(metavar="N", min=0, help="Draw this many images again, and run the detector on them."),
     ] = 24,
 ) -> int:
     """Check a labelled image set against its truth and its seed.
@@ -78,8 +81,6 @@ def check(
     from skyherd.datasets import refuse_configuration
     from skyherd.datasets.labelled.check import check_dataset
 
-    if sample < 0:
-        raise InputError("--sample", str(sample), "0 or more")
     refuse_configuration(folder, "data set")
     verdict = check_dataset(folder, sample=sample)
     for problem in verdict.problems:
@@ -103,7 +104,8 @@ def list_specs() -> None:
 @dataset_app.command()
 def show(
     name: Annotated[
-        str, typer.Argument(metavar="NAME", help="A built-in spec.", autocompletion=complete_spec)
+        str,
+        typer.Argument(metavar="NAME", help="A built-in spec, such as small.", autocompletion=complete_spec),
     ],
 ) -> None:
     """Print a built-in spec, to save and change."""

@@ -20,6 +20,7 @@ from skyherd.cli.options import (
     Topic,
     metric_options,
 )
+from skyherd.cli.usage import only_known
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,7 +38,8 @@ def detect(
     target: Annotated[
         Path,
         typer.Argument(
-            metavar="IMAGE|DIR|VIDEO|BAG", help="A picture, a folder, a video, or a rosbag2 recording."
+            metavar="IMAGE|DIR|VIDEO|BAG",
+            help="A picture, a folder, a video, or a rosbag2 recording, such as photo.jpg.",
         ),
     ],
     dictionary: Annotated[
@@ -66,6 +68,7 @@ def detect(
             metavar="FORMAT",
             help=f"Format of the table: {' or '.join(TABLE_FORMATS)}.",
             autocompletion=complete_format,
+            callback=only_known(TABLE_FORMATS),
         ),
     ] = "csv",
     marker_side_m: MarkerSide = None,
@@ -95,8 +98,6 @@ def detect(
     from skyherd.files.rosbag_reader import is_bag
     from skyherd.inspection import AUTO, DETECTIONS, Inspector, output_name
 
-    if kind not in TABLE_FORMATS:
-        raise InputError("--format", f"no format {kind!r}", f"one of {', '.join(TABLE_FORMATS)}")
     if one_plane and camera is None:
         raise InputError("--one-plane", "given without --camera", "a calibration")
     side_m, calibration = metric_options(marker_side_m, camera)

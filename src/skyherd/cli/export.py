@@ -15,7 +15,10 @@ from skyherd.cli.run_folders import is_simulated_run
 
 def export(
     folder: Annotated[
-        Path, typer.Argument(metavar="RUN", help="A folder of `skyherd run` or `skyherd live run`.")
+        Path,
+        typer.Argument(
+            metavar="RUN", help="A folder of `skyherd run` or `skyherd live run`, such as runs/star."
+        ),
     ],
     kind: Annotated[
         str,

@@ -1,4 +1,7 @@
-"""The layout of help: whole lines, names of values instead of Python's types, and verbs in groups."""
+"""Verbs and groups of verbs: the layout of their help, and the problems of their arguments.
+
+Help has whole lines, names of values instead of Python's types, and verbs in groups.
+"""
 
 import inspect
 import re
@@ -6,6 +9,8 @@ import textwrap
 from typing import Any
 
 from typer.core import TyperCommand, TyperGroup
+
+from skyherd.cli.usage import explaining_usage, missing_verb, unknown_verb
 
 NAME_COLUMN = 24
 """Characters of the widest name that has its text beside it; others have it below. Chosen for 80 columns."""
@@ -22,6 +27,7 @@ NO_BREAK = "\N{NO-BREAK SPACE}"
 _TYPE = re.compile(r" ?<([^>]*)>")
 _BRACKETED = re.compile(r"\[(?:default: )?[^\]]*\]$")
 _RANGE = re.compile(r"(-?[\d.]+)<=x<=(-?[\d.]+)")
+_AT_LEAST = re.compile(r"x>=(-?[\d.]+)")
 
 Rows = list[tuple[str, str]]
 """Names, and a text for each."""
@@ -29,6 +35,11 @@ Rows = list[tuple[str, str]]
 
 class HelpCommand(TyperCommand):
     """A verb."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments; InputError for wrong ones."""
+        with explaining_usage(self, ctx, args):
+            return super().parse_args(ctx, args)
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """Return the arguments as the usage shows them: `SCENARIO`, or `[NAME]` if it may be left out."""
@@ -45,6 +56,20 @@ class HelpCommand(TyperCommand):
 
 class HelpGroup(TyperGroup):
     """A group of verbs, which are listed under the titles that they have as `rich_help_panel`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments before the verb; InputError for wrong ones."""
+        with explaining_usage(self, ctx, args):
+            rest = super().parse_args(ctx, args)
+        if not args and not self.invoke_without_command and not ctx.resilient_parsing:
+            raise missing_verb(ctx, self.list_commands(ctx))
+        return rest
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[Any, Any, list[str]]:
+        """Return the verb that the arguments begin with; InputError if no verb has this name."""
+        if not ctx.resilient_parsing and self.get_command(ctx, args[0]) is None:
+            raise unknown_verb(args[0], ctx, self.list_commands(ctx))
+        return super().resolve_command(ctx, args)
 
     def format_help_text(self, ctx: Any, formatter: Any) -> None:
         """Write what the group is for."""
@@ -83,7 +108,8 @@ def parameter_rows(command: Any, ctx: Any) -> tuple[Rows, Rows]:
         if record is None:
             continue
         name, text = record
-        text = _BRACKETED.sub(_unbroken, _RANGE.sub(r"from \1 to \2", text))
+        text = _AT_LEAST.sub(r"from \1", _RANGE.sub(r"from \1 to \2", text))
+        text = _BRACKETED.sub(_unbroken, text)
         if parameter.param_type_name == "argument":
             arguments.append((_TYPE.sub("", name), re.sub(r"\s*\[required\]$", "", text)))
         else:

@@ -10,7 +10,7 @@ import typer
 
 from skyherd.cli.console import say, say_table, warn
 from skyherd.cli.interrupts import signals_as_requests
-from skyherd.cli.options import DEFAULT_PORT, LOOPBACK, PageHost, PagePort
+from skyherd.cli.options import DEFAULT_PORT, LOOPBACK, Duration, PageHost, PagePort
 
 if TYPE_CHECKING:
     from skyherd.live.lab import Lab
@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 live_app = typer.Typer(help="Real cameras and robots: check, run, arm and stop a lab.", rich_markup_mode=None)
 
-LabFile = Annotated[str, typer.Argument(metavar="LAB", help="A built-in lab or a TOML file.")]
+LabFile = Annotated[
+    str, typer.Argument(metavar="LAB", help="A built-in lab, such as webcams, or a TOML file.")
+]
 Insecure = Annotated[
     bool,
     typer.Option(
@@ -137,9 +139,7 @@ def run(
     armed: Annotated[
         bool, typer.Option("--arm", help="Arm the robots as soon as all are connected.")
     ] = False,
-    duration_s: Annotated[
-        float | None, typer.Option("--duration", metavar="SECONDS", help="End after this time.")
-    ] = None,
+    duration_s: Duration = None,
     with_page: Annotated[
         bool, typer.Option("--page", help="Show images and states on a page, with a stop button.")
     ] = False,
@@ -234,7 +234,11 @@ def _report(word: str, outcome: "Outcome") -> int:
 @live_app.command()
 def replay(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR|FILE", help="A folder of `skyherd live run`, or a file of it.")
+        Path,
+        typer.Argument(
+            metavar="DIR|FILE",
+            help="A folder of `skyherd live run`, or a file of it, such as runs/lab/robot-3.mcap.",
+        ),
     ],
 ) -> int:
     """Repeat the decisions of each process from its recording; exit code 1 if any bit differs."""

@@ -13,6 +13,7 @@ import typer
 from skyherd.cli.console import say
 from skyherd.cli.interrupts import EndRequest, SignalReceived, signals_as_requests
 from skyherd.cli.live import Insecure, LabFile, Settings, joined_team
+from skyherd.cli.options import Scenario
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def _process(
 
 def unit(
     lab_file: LabFile,
-    number: Annotated[int, typer.Argument(metavar="UNIT", help="Number of the unit: 0, 1, …")],
+    number: Annotated[int, typer.Argument(metavar="UNIT", min=0, help="Number of the unit, such as 0.")],
     out_dir: Out = Path("runs/live"),
     camera: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="Use this camera instead of the lab's.")
@@ -119,7 +120,7 @@ def unit(
 
 def robot(
     lab_file: LabFile,
-    marker: Annotated[int, typer.Argument(metavar="ROBOT", help="Marker of the robot.")],
+    marker: Annotated[int, typer.Argument(metavar="ROBOT", min=0, help="Marker of the robot, such as 3.")],
     out_dir: Out = Path("runs/live"),
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the commands instead of sending them.")
@@ -144,7 +145,7 @@ def robot(
 
 
 def world(
-    scenario: Annotated[str, typer.Argument(metavar="SCENARIO", help="A built-in scenario or a TOML file.")],
+    scenario: Scenario,
     lab_file: Annotated[
         str | None,
         typer.Option(

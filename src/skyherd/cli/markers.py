@@ -17,7 +17,9 @@ def markers(
         str,
         typer.Option(metavar="LENGTH", help="Side of the black square, such as 0.12m, 12cm or 120mm."),
     ],
-    out_file: Annotated[Path, typer.Option("--out", metavar="FILE", help="PDF file to write.")],
+    out_file: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="PDF file to write, such as sheets.pdf.")
+    ],
     paper: Annotated[
         str,
         typer.Option(metavar="NAME", help=f"Paper: {', '.join(PAPERS)}.", autocompletion=complete_paper),

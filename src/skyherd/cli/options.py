@@ -4,11 +4,49 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from skyherd.cli.choices import DETECTORS, complete_detector, complete_dictionary
+from skyherd.cli.choices import (
+    DETECTORS,
+    PERCEPTIONS,
+    complete_detector,
+    complete_dictionary,
+    complete_perception,
+    complete_scenario,
+)
+from skyherd.cli.usage import only_known
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
     from skyherd.poses import Calibration
+
+Scenario = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENARIO",
+        help="A built-in scenario, such as star, or a TOML file.",
+        autocompletion=complete_scenario,
+    ),
+]
+
+Perception = Annotated[
+    str | None,
+    typer.Option(
+        metavar="KIND",
+        help="How markers are detected: rendered (in drawn images), ideal (exactly), or noisy (exactly, "
+        "with the detector's measured noise).",
+        autocompletion=complete_perception,
+        callback=only_known(PERCEPTIONS),
+    ),
+]
+
+Jobs = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=1, help="Use this many processes instead of one for each core."),
+]
+
+Duration = Annotated[
+    float | None,
+    typer.Option("--duration", metavar="SECONDS", min=0, help="End after this time."),
+]
 
 Dictionary = Annotated[
     str,

@@ -5,33 +5,26 @@ from typing import Annotated
 
 import typer
 
-from skyherd.cli.choices import PERCEPTIONS, complete_perception, complete_scenario
 from skyherd.cli.console import say, warn
 from skyherd.cli.interrupts import telling_of_interrupts
-from skyherd.cli.options import DEFAULT_PORT, LOOPBACK, PageHost, PagePort, ScenarioSettings
-from skyherd.errors import InputError
+from skyherd.cli.options import (
+    DEFAULT_PORT,
+    LOOPBACK,
+    PageHost,
+    PagePort,
+    Perception,
+    Scenario,
+    ScenarioSettings,
+)
 
 
 def play(
-    scenario: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENARIO", help="A built-in scenario or a TOML file.", autocompletion=complete_scenario
-        ),
-    ] = "star",
+    scenario: Scenario = "star",
     seed: Annotated[
         int | None, typer.Option(metavar="N", help="Replace the scenario's seed of all random draws.")
     ] = None,
     settings: ScenarioSettings = None,
-    perception: Annotated[
-        str | None,
-        typer.Option(
-            metavar="KIND",
-            help="How markers are detected: rendered (in drawn images), ideal (exactly), or noisy (exactly, "
-            "with the detector's measured noise).",
-            autocompletion=complete_perception,
-        ),
-    ] = None,
+    perception: Perception = None,
     out_dir: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Save scenarios into this existing folder.")
     ] = Path("."),
@@ -49,8 +42,6 @@ def play(
     from skyherd.play.session import Session
     from skyherd.report.access import Access, bind
 
-    if perception is not None and perception not in PERCEPTIONS:
-        raise InputError("--perception", f"{perception!r}", f"one of {', '.join(PERCEPTIONS)}")
     require_viser("play")
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
     session = Session.open(scenario, chosen, seed=seed, folder=out_dir, speed=speed)

@@ -13,7 +13,10 @@ from skyherd.errors import InputError
 
 def report(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="A folder of `skyherd run` or `skyherd live run`.")
+        Path,
+        typer.Argument(
+            metavar="DIR", help="A folder of `skyherd run` or `skyherd live run`, such as runs/star."
+        ),
     ],
     replay: Annotated[
         bool,

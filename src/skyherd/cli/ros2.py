@@ -6,7 +6,7 @@ import typer
 
 from skyherd.cli.console import say, warn
 from skyherd.cli.interrupts import signals_as_requests
-from skyherd.cli.options import Detector, Dictionary
+from skyherd.cli.options import Detector, Dictionary, Duration
 
 
 def ros2(
@@ -51,9 +51,7 @@ def ros2(
     frame: Annotated[
         str, typer.Option(metavar="NAME", help="Coordinate frame of images that name none.")
     ] = "camera",
-    duration_s: Annotated[
-        float | None, typer.Option("--duration", metavar="SECONDS", help="End after this time.")
-    ] = None,
+    duration_s: Duration = None,
 ) -> int:
     """Publish the markers that a camera sees, for ROS 2 over Zenoh, until Ctrl-C. It needs no ROS."""
     import time

@@ -5,11 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skyherd.cli.choices import PERCEPTIONS, complete_perception, complete_scenario
 from skyherd.cli.console import ProgressReporter, say, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
-from skyherd.cli.options import ForceFolder, ScenarioSettings
-from skyherd.errors import InputError
+from skyherd.cli.options import ForceFolder, Perception, Scenario, ScenarioSettings
 
 if TYPE_CHECKING:
     from skyherd.datasets import Mission
@@ -17,12 +15,7 @@ if TYPE_CHECKING:
 
 
 def run(
-    scenario: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENARIO", help="A built-in scenario or a TOML file.", autocompletion=complete_scenario
-        ),
-    ],
+    scenario: Scenario,
     out_dir: Annotated[
         Path | None,
         typer.Option(
@@ -33,22 +26,14 @@ def run(
         int | None, typer.Option(metavar="N", help="Replace the scenario's seed of all random draws.")
     ] = None,
     settings: ScenarioSettings = None,
-    perception: Annotated[
-        str | None,
-        typer.Option(
-            metavar="KIND",
-            help="How markers are detected: rendered (in drawn images), ideal (exactly), or noisy (exactly, "
-            "with the detector's measured noise).",
-            autocompletion=complete_perception,
-        ),
-    ] = None,
+    perception: Perception = None,
     no_video: Annotated[bool, typer.Option("--no-video", help="Do not make a video.")] = False,
     record_images: Annotated[
         bool, typer.Option("--record-images", help="Keep the cameras' images in the recording, as JPEG.")
     ] = False,
     jobs: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Use this many cores instead of all. Results are the same."),
+        typer.Option(metavar="N", min=1, help="Use this many cores instead of all. Results are the same."),
     ] = None,
     force: ForceFolder = False,
 ) -> int:
@@ -60,10 +45,6 @@ def run(
     from skyherd.jobs.helpers import cores
     from skyherd.runner import run_mission
 
-    if jobs is not None and jobs < 1:
-        raise InputError("--jobs", str(jobs), "1 or more")
-    if perception is not None and perception not in PERCEPTIONS:
-        raise InputError("--perception", f"{perception!r}", f"one of {', '.join(PERCEPTIONS)}")
     chosen = [*(settings or []), *([f"perception={perception}"] if perception else [])]
     mission = load_mission(scenario, chosen, seed=seed)
     folder = out_dir or Path("runs") / mission.scenario.name

@@ -7,7 +7,7 @@ import typer
 
 from skyherd.cli.choices import complete_scenario
 from skyherd.cli.console import say, say_table, warn
-from skyherd.cli.options import ScenarioSettings
+from skyherd.cli.options import Scenario, ScenarioSettings
 
 scenario_app = typer.Typer(help="List, show and check scenarios.", rich_markup_mode=None)
 
@@ -30,7 +30,10 @@ def list_scenarios() -> None:
 @scenario_app.command()
 def show(
     name: Annotated[
-        str, typer.Argument(metavar="NAME", help="A built-in scenario.", autocompletion=complete_scenario)
+        str,
+        typer.Argument(
+            metavar="NAME", help="A built-in scenario, such as star.", autocompletion=complete_scenario
+        ),
     ],
 ) -> None:
     """Print a built-in scenario, to save and change."""
@@ -41,12 +44,7 @@ def show(
 
 @scenario_app.command()
 def check(
-    file: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENARIO", help="A built-in scenario or a TOML file.", autocompletion=complete_scenario
-        ),
-    ],
+    file: Scenario,
     settings: ScenarioSettings = None,
 ) -> None:
     """Check a scenario, and warn of what keeps its robots from the shape."""

@@ -9,6 +9,7 @@ import typer
 from skyherd.cli.choices import complete_study
 from skyherd.cli.console import ProgressReporter, say
 from skyherd.cli.interrupts import telling_of_interrupts
+from skyherd.cli.options import Jobs
 from skyherd.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,9 +40,7 @@ def study(
     quick: Annotated[
         bool, typer.Option("--quick", help="Make few runs, as the table quick of the study says.")
     ] = False,
-    jobs: Annotated[
-        int | None, typer.Option(metavar="N", help="Use this many processes instead of one for each core.")
-    ] = None,
+    jobs: Jobs = None,
     scheduler: Annotated[
         str | None,
         typer.Option(metavar="tcp://HOST:PORT", help="Run on the Dask cluster of this scheduler."),
@@ -68,8 +67,6 @@ def study(
     if show:
         typer.echo(study_text(name), nl=False)
         return 0
-    if jobs is not None and jobs < 1:
-        raise InputError("--jobs", str(jobs), "1 or more")
     if jobs is not None and scheduler is not None:
         raise InputError(
             "--jobs", "given with --scheduler", "one of them: a cluster has its own number of workers"

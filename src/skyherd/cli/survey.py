@@ -17,16 +17,25 @@ if TYPE_CHECKING:
 def survey(
     pictures: Annotated[
         list[Path],
-        typer.Argument(metavar="PICTURE|VIDEO|BAG", help="Pictures and recordings of the same markers."),
+        typer.Argument(
+            metavar="PICTURE|VIDEO|BAG",
+            help="Pictures and recordings of the same markers, such as a.jpg b.jpg.",
+        ),
     ],
     marker_side_m: Annotated[
-        float, typer.Option(metavar="M", help="Side of the markers' black square.", show_default=False)
+        float,
+        typer.Option(
+            metavar="M",
+            help="Side of the markers' black square, such as 0.12.",
+            show_default=False,
+        ),
     ],
     camera: Annotated[
         list[str],
         typer.Option(
             metavar="FILE[#NAME]",
-            help="Calibration (OpenCV, ROS, Kalibr, caliscope): once for all pictures, or once for each.",
+            help="Calibration (OpenCV, ROS, Kalibr, caliscope), such as camera.yaml: once for all pictures, "
+            "or once for each.",
             show_default=False,
         ),
     ],

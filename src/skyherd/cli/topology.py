@@ -34,7 +34,7 @@ def topology(
         str,
         typer.Argument(
             metavar="FILE|RUN",
-            help="A scenario, or a run: its folder or its run.mcap.",
+            help="A scenario, such as star, or a run: its folder or its run.mcap.",
             autocompletion=complete_scenario,
         ),
     ],

@@ -28,7 +28,10 @@ if TYPE_CHECKING:
 
 def track(
     videos: Annotated[
-        list[Path], typer.Argument(metavar="VIDEO|BAG", help="Videos or rosbag2 recordings from above.")
+        list[Path],
+        typer.Argument(
+            metavar="VIDEO|BAG", help="Videos or rosbag2 recordings from above, such as flight.mp4."
+        ),
     ],
     shape: Annotated[
         str | None,

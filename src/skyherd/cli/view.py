@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 def view(
     run: Annotated[
-        Path, typer.Argument(metavar="RUN", help="A folder of `skyherd run`, or the recording in it.")
+        Path,
+        typer.Argument(metavar="RUN", help="A folder of `skyherd run`, such as runs/star, or its recording."),
     ],
     html: Annotated[
         Path | None,

@@ -27,6 +27,7 @@ CALLS = {
     "folder None": (lambda path: run(None), "folder: None; a path"),
     "jobs 0": (lambda path: run(path, jobs=0), "jobs: 0; a whole number from 1"),
     "jobs -3": (lambda path: run(path, jobs=-3), "jobs: -3; a whole number from 1"),
+    "force x": (lambda path: run(path, force="x"), "run_mission: force: 'x'; True or False"),
     "jobs x": (lambda path: run(path, jobs="x"), "jobs: 'x'; a whole number from 1"),
 }
 """Calls of the library with an invalid argument, and the expected words of the error."""

@@ -1,8 +1,32 @@
 """Errors of several problems: their lines, their parts, and how they are joined."""
 
+import importlib
+import pkgutil
+
+import numpy as np
 import pytest
 
-from skyherd.errors import MAX_PROBLEMS, InputError, InputErrors, ProblemCollector, join_errors
+import skyherd
+from skyherd.bench.entrants import EntrantError
+from skyherd.control import Template
+from skyherd.errors import (
+    MAX_PROBLEMS,
+    DegenerateSetError,
+    InputError,
+    InputErrors,
+    MessageError,
+    NativeLibraryError,
+    OutputError,
+    ProblemCollector,
+    SingularSetError,
+    SkyherdError,
+    join_errors,
+)
+from skyherd.messages import MotionGoals
+
+NO_INPUT_ERRORS = {InputError, OutputError, NativeLibraryError, EntrantError}
+"""Direct subclasses of SkyherdError. All but the first are failures with valid input: of the disk, of the
+installation, and of a measured detector."""
 
 
 def problem(number: int) -> InputError:
@@ -52,3 +76,21 @@ def test_collector_raises_all_that_it_caught():
         raise KeyError("no problem of the input")
     with pytest.raises(InputErrors, match=r"key 1[^\n]*\nkey 2"):
         collector.raise_all()
+
+
+def test_every_error_of_bad_input_is_an_input_error():
+    for module in pkgutil.walk_packages(skyherd.__path__, "skyherd."):
+        if not module.name.endswith("__main__"):
+            importlib.import_module(module.name)
+    assert set(SkyherdError.__subclasses__()) == NO_INPUT_ERRORS
+    for kind in (MessageError, DegenerateSetError, SingularSetError):
+        assert issubclass(kind, InputError) and kind.exit_code == 2
+
+
+def test_bad_points_and_messages_name_place_and_allowed_values():
+    with pytest.raises(InputError) as degenerate:
+        Template([0, 1], np.array([2 + 1j, 2 + 1j]))
+    assert str(degenerate.value) == "template: all points coincide; at least two distinct points"
+    with pytest.raises(InputError) as message:
+        MotionGoals(0, 0.0, [3], [-1.0], [0.0], [20.0], [[]], [[]])
+    assert (message.value.where, message.value.allowed) == ("MotionGoals.rho_px", "0 or more")

@@ -87,19 +87,21 @@ def fit_similarity(template: ComplexArray, current: ComplexArray) -> Similarity:
     """
     check_vectors("fit_similarity", template=template, current=current)
     if template.size != current.size or template.size < 2:
-        raise DegenerateSetError(f"{current.size} points define no similarity; at least two are needed")
+        raise DegenerateSetError("current points", f"{current.size} define no similarity", "at least two")
     source, target = template.sum() / template.size, current.sum() / current.size
     template_c, current_c = template - source, current - target
     spread = np.vdot(template_c, template_c).real
     if spread <= (COINCIDENT * np.abs(template).max()) ** 2 * template.size:
-        raise DegenerateSetError("all template points coincide; at least two must differ")
+        raise DegenerateSetError("template points", "all coincide", "at least two that differ")
     if np.abs(current_c).max() <= COINCIDENT * np.abs(current).max():
-        raise DegenerateSetError("all current points coincide; at least two must differ")
+        raise DegenerateSetError("current points", "all coincide", "at least two that differ")
     factor = complex(np.vdot(template_c, current_c) / spread)
     if not abs(factor.real) + abs(factor.imag) <= MAX_SCALE:
-        raise DegenerateSetError("the template points nearly coincide; at least two must differ")
+        raise DegenerateSetError("template points", "nearly coincide", "at least two that differ")
     if abs(factor) ** 2 * spread <= VANISHING**2 * np.vdot(current_c, current_c).real:
-        raise SingularSetError("the best-fitting similarity has size zero, so no rotation fits best")
+        raise SingularSetError(
+            "current points", "the best similarity has size zero", "points for which one rotation is best"
+        )
     return Similarity(factor, complex(source), complex(target))
 
 

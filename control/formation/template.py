@@ -59,9 +59,7 @@ class Template:
         if not (np.abs(points) <= MAX_PX).all():
             raise InputError("template", "a point that is not finite", f"coordinates up to {MAX_PX:g}")
         if np.abs(points - points.mean()).max() <= COINCIDENT * np.abs(points).max():
-            raise DegenerateSetError(
-                "template: all points coincide; a shape needs at least two distinct points"
-            )
+            raise DegenerateSetError("template", "all points coincide", "at least two distinct points")
         order = np.argsort(ids)
         ids, points = ids[order], points[order]
         ids.setflags(write=False)

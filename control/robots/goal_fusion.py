@@ -49,7 +49,8 @@ class GoalInboxes:
     ) -> None:
         ids, unit_ids = check_ids(ids, "GoalInboxes.ids"), check_ids(unit_ids, "GoalInboxes.unit_ids")
         if (np.diff(ids) <= 0).any() or (np.diff(unit_ids) <= 0).any():
-            raise MessageError("GoalInboxes: ids and unit_ids must ascend, each once")
+            given = f"ids {shown(ids)}, unit_ids {shown(unit_ids)}"
+            raise MessageError("GoalInboxes", given, "ascending, each once")
         units, robots = unit_ids.size, ids.size
         self.ids, self.unit_ids, self.lifetime_s = ids, unit_ids, lifetime_s
         check_numbers(self, positive=("lifetime_s",))
@@ -97,12 +98,10 @@ class GoalInboxes:
 def _check_mask(received: object, count: int) -> None:
     """Raise MessageError unless `received` is a mask of `count` booleans."""
     if not isinstance(received, np.ndarray) or received.dtype != np.bool_:
-        raise MessageError(
-            f"GoalInboxes.receive: received is {shown(received)}, expected an array of booleans"
-        )
+        raise MessageError("GoalInboxes.receive: received", shown(received), "an array of booleans")
     if received.shape != (count,):
         raise MessageError(
-            f"GoalInboxes.receive: received has shape {received.shape}, expected {(count,)}, one a goal"
+            "GoalInboxes.receive: received", f"shape {received.shape}", f"shape {(count,)}, one a goal"
         )
 
 

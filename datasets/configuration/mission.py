@@ -267,9 +267,6 @@ def make_mission(
             for problem in error.problems
         ]
         raise join_errors(problems) from None
-    except DegenerateSetError as error:
-        place = locate(where, "template", origins or {})
-        raise InputError(place, str(error), "at least two distinct points") from None
 
 
 def _complete(scenario: Scenario, folder: Path) -> Mission:
@@ -385,7 +382,7 @@ def _template(
     try:
         return Template.from_ground_points(ids, points)
     except DegenerateSetError as error:
-        raise InputError(where, str(error), "at least two distinct points") from None
+        raise InputError(where, error.what, error.allowed) from None
 
 
 def _later_shape(

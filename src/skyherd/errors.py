@@ -151,11 +151,11 @@ def _fitted(*parts: str) -> list[str]:
     return [shorten(part, most) for part in parts]
 
 
-class MessageError(SkyherdError, ValueError):
+class MessageError(InputError):
     """Message between parts of the system with a wrong shape, type or value."""
 
 
-class DegenerateSetError(SkyherdError, ValueError):
+class DegenerateSetError(InputError):
     """Point set that defines no similarity: fewer than two points, or all coincident."""
 
 

@@ -27,7 +27,7 @@ from skyherd.files.output_folder import OutputFolder
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.loop import Step, run_steps
 from skyherd.messages import TIME_TOLERANCE_S
-from skyherd.messages.checks import check_count, check_kind
+from skyherd.messages.checks import check_count, check_flags, check_kind
 from skyherd.plots import panels
 from skyherd.plots.panels import FigureFile, write_figures
 from skyherd.recording.reader import Recording, read_recording, read_steps
@@ -106,6 +106,7 @@ def run_mission(
     """
     check_kind("run_mission: folder", folder, (str, Path), "a path")
     check_count("run_mission: jobs", jobs, least=1, most=MAX_JOBS)
+    check_flags("run_mission", force=force, video=video, record_images=record_images)
     folder = Path(folder)
     output = OutputFolder(folder, VERB, output_names(), force=force)
     output.check()

@@ -117,7 +117,7 @@ def test_messages_reject_repeated_ids_and_invalid_values(make_detections, make_g
         make_detections([4, 5], [1, np.nan])
     with pytest.raises(MessageError, match="positive"):
         make_detections([4, 5], [1, 2], sides=[3, 0])
-    with pytest.raises(MessageError, match="sides_px must be positive"):
+    with pytest.raises(MessageError, match=r"sides_px: .*; positive sides"):
         make_goals(0, [1], [1j], sides=[-1])
 
 

@@ -110,7 +110,7 @@ def goal_error_m(
     try:
         straight = undistort(camera, pose.zoom, desired_points_px(frame.decision))
         truth = desired_on_ground(template, positions)
-    except (InputError, DegenerateSetError):
+    except InputError:
         return float("nan")
     found = apply_homography(inverse(homography_image_ground(camera, pose)), straight)
     return float(np.abs(to_complex(found) - truth).max())

@@ -84,7 +84,7 @@ def check_ranges(message: object) -> None:
     for name, (low, high) in RANGES.get(type(message), {}).items():
         values = np.asarray(getattr(message, name))
         if values.size and not (low <= values.min() and values.max() <= high):
-            raise MessageError(f"{name} outside {low:g} to {high:g}")
+            raise MessageError(name, "is out of range", f"{low:g} to {high:g}")
     if isinstance(message, UnitReport):
         check_ranges(message.tree)
         check_ranges(message.roles)

@@ -116,7 +116,7 @@ class Wheels:
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.v_mps) or not math.isfinite(self.omega_radps):
-            raise MessageError("Wheels: v_mps and omega_radps must be finite")
+            raise MessageError("Wheels", f"{self.v_mps}, {self.omega_radps}", "finite v_mps and omega_radps")
 
 
 Message = MotionGoals | Proximity | UnitReport | Sighting | Heartbeat | Arm | Stop | Wheels | FlightCommand
@@ -221,7 +221,7 @@ def envelope_of(record: Mapping[str, Any]) -> Envelope:
     try:
         check_ranges(message)
     except MessageError as error:
-        raise OutOfRange(str(error)) from None
+        raise OutOfRange(error.where, error.what, error.allowed) from None
     return Envelope(str(record["sender"]), float(record["sent_s"]), message, str(record["instance"]), latch)
 
 
@@ -261,7 +261,7 @@ def decode(data: bytes, team: str) -> Envelope:
     try:
         envelope = envelope_of(record)
     except OutOfRange as error:
-        raise Refused(f"{kind} with {error} from {_shown(sender)}") from None
+        raise Refused(f"{kind} with {error.where} outside {error.allowed} from {_shown(sender)}") from None
     except (ValueError, TypeError, KeyError, AttributeError, IndexError, OverflowError, RuntimeWarning):
         raise Refused(f"{kind} of a wrong shape from {_shown(sender)}") from None
     unit, robot = getattr(envelope.message, "unit_id", None), getattr(envelope.message, "robot_id", None)

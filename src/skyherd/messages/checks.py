@@ -178,4 +178,4 @@ def check_time(owner: object) -> None:
     """
     value = getattr(owner, "time_s", None)
     if not _is_number(value) or not np.isfinite(float(value)):  # type: ignore[arg-type]
-        raise MessageError(f"{type(owner).__name__}.time_s: {shown(value)}, expected a finite number")
+        raise MessageError(f"{type(owner).__name__}.time_s", shown(value), "a finite number")

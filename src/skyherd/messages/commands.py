@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyherd.errors import MessageError
 from skyherd.geometry import Array, IntArray
+from skyherd.messages.checks import check_numbers
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 from skyherd.messages.short_repr import short_repr
 
@@ -57,5 +57,4 @@ class FlightCommand:
 
     def __post_init__(self) -> None:
         freeze(self, "lateral_mps", (2,))
-        if not np.isfinite([self.climb_mps, self.yaw_rate_radps, self.zoom_rate_ps]).all():
-            raise MessageError("FlightCommand: climb_mps, yaw_rate_radps and zoom_rate_ps must be finite")
+        check_numbers(self, finite=("climb_mps", "yaw_rate_radps", "zoom_rate_ps"))

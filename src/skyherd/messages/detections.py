@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from skyherd.errors import InputError, MessageError
 from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.messages.checks import check_time
+from skyherd.messages.checks import check_time, shown
 from skyherd.messages.frozen_arrays import freeze, freeze_ids, freeze_image_size
 from skyherd.messages.ids import among
 from skyherd.messages.short_repr import short_repr
@@ -138,9 +138,9 @@ class Detections:
             object.__setattr__(self, "qualities", np.full(n, Quality.CORNERS))
         freeze(self, "qualities", (n,), integer=True)
         if not QUALITIES.issuperset(self.qualities.tolist()):
-            raise MessageError(f"Detections.qualities: {self.qualities.tolist()}, expected 0, 1 or 2")
+            raise MessageError("Detections.qualities", shown(self.qualities.tolist()), "0, 1 or 2")
         if (self.sides_px <= 0).any():
-            raise MessageError("Detections.sides_px: every side must be positive")
+            raise MessageError("Detections.sides_px", shown(self.sides_px.tolist()), "positive sides")
 
     def __len__(self) -> int:
         return int(self.ids.size)

@@ -30,9 +30,9 @@ def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: 
     if array.shape != shape and array.size == 0 and 0 in shape:
         array = array.reshape([length or 0 for length in shape])
     if array.shape != shape and not _fits(array.shape, shape):
-        raise MessageError(f"{type(owner).__name__}.{name}: shape {array.shape}, expected {shape}")
+        raise MessageError(f"{type(owner).__name__}.{name}", f"shape {array.shape}", f"shape {shape}")
     if not integer and not np.logical_and.reduce(np.isfinite(array), axis=None):
-        raise MessageError(f"{type(owner).__name__}.{name}: every value must be finite")
+        raise MessageError(f"{type(owner).__name__}.{name}", shown(array.tolist()), "finite numbers")
     array.setflags(write=False)
     object.__setattr__(owner, name, array)
 
@@ -49,7 +49,7 @@ def _array(owner: object, name: str, *, integer: bool) -> np.ndarray:
         return np.array(given, dtype=dtype)
     except (TypeError, ValueError, OverflowError):
         kind = "whole numbers" if integer else "numbers"
-        raise MessageError(f"{type(owner).__name__}.{name}: {shown(given)}, expected {kind}") from None
+        raise MessageError(f"{type(owner).__name__}.{name}", shown(given), kind) from None
 
 
 def _fits(actual: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
@@ -69,9 +69,9 @@ def freeze_ids(owner: object, name: str, *, repeats: bool = False) -> int:
     freeze(owner, name, (np.size(getattr(owner, name)),), integer=True)
     ids = getattr(owner, name).tolist()
     if not repeats and len(set(ids)) != len(ids):
-        raise MessageError(f"{type(owner).__name__}.{name}: repeated id in {shown(ids)}")
+        raise MessageError(f"{type(owner).__name__}.{name}", f"repeated id in {shown(ids)}", "each id once")
     if min(ids, default=0) < 0:
-        raise MessageError(f"{type(owner).__name__}.{name}: negative id in {shown(ids)}")
+        raise MessageError(f"{type(owner).__name__}.{name}", f"negative id in {shown(ids)}", "ids from 0 up")
     return len(ids)
 
 
@@ -84,6 +84,4 @@ def freeze_image_size(owner: object) -> None:
     freeze(owner, "image_size_px", (2,))
     size_px = owner.image_size_px  # type: ignore[attr-defined]
     if not (size_px >= 1).all():
-        raise MessageError(
-            f"{type(owner).__name__}.image_size_px: {shown(size_px.tolist())}, expected 1 or more"
-        )
+        raise MessageError(f"{type(owner).__name__}.image_size_px", shown(size_px.tolist()), "1 or more")

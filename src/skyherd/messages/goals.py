@@ -6,7 +6,7 @@ import numpy as np
 
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, IntArray
-from skyherd.messages.checks import check_time
+from skyherd.messages.checks import check_time, shown
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 from skyherd.messages.short_repr import short_repr
 
@@ -77,8 +77,10 @@ class MotionGoals:
         freeze(self, "sides_px", (n,))
         freeze(self, "neighbor_ids", (n, None), integer=True)
         freeze(self, "neighbor_distances_px", (n, self.neighbor_ids.shape[1]))
-        if (self.rho_px < 0).any() or (self.sides_px <= 0).any():
-            raise MessageError("MotionGoals: rho_px must not be negative, sides_px must be positive")
+        if (self.rho_px < 0).any():
+            raise MessageError("MotionGoals.rho_px", shown(self.rho_px.tolist()), "0 or more")
+        if (self.sides_px <= 0).any():
+            raise MessageError("MotionGoals.sides_px", shown(self.sides_px.tolist()), "positive sides")
 
     def __len__(self) -> int:
         return int(self.ids.size)

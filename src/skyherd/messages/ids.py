@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from skyherd.errors import MessageError
 from skyherd.geometry import BoolArray, IntArray
+from skyherd.messages.checks import shown
 
 NO_ID = -1
 """Placeholder for no unit and no robot. Chosen: ids of markers and units are never negative."""
@@ -51,5 +52,5 @@ def rows_of(ids: IntArray, wanted: npt.ArrayLike) -> IntArray:
     wanted = np.asarray(wanted, dtype=np.int64)
     rows, found = find_rows(ids, wanted)
     if not found.all():
-        raise MessageError(f"ids {wanted[~found].tolist()} are not among {ids.tolist()}")
+        raise MessageError("ids", f"{shown(wanted[~found].tolist())} are missing", f"one of {ids.tolist()}")
     return rows

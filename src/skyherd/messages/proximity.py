@@ -6,7 +6,7 @@ import numpy as np
 
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, IntArray
-from skyherd.messages.checks import check_time
+from skyherd.messages.checks import check_time, shown
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 
 
@@ -68,8 +68,8 @@ class Proximity:
         for name in ("distances_sides", "bearings_rad", "reaches_sides", "shares", "ways_sides"):
             freeze(self, name, (pairs,))
         for name in ("distances_sides", "reaches_sides", "ways_sides"):
-            if (getattr(self, name) < 0).any():
-                raise MessageError(f"Proximity: {name} must not be negative")
+            if ((values := getattr(self, name)) < 0).any():
+                raise MessageError(f"Proximity.{name}", shown(values.tolist()), "0 or more")
 
     def __len__(self) -> int:
         return int(self.ids.size)

@@ -9,6 +9,7 @@ import numpy as np
 
 from skyherd.errors import MessageError
 from skyherd.geometry import IntArray
+from skyherd.messages.checks import shown
 from skyherd.messages.frozen_arrays import freeze
 
 
@@ -33,7 +34,7 @@ class RoleMap:
     def __post_init__(self) -> None:
         freeze(self, "roles", (None,), integer=True)
         if not np.array_equal(np.sort(self.roles), np.arange(self.roles.size)):
-            raise MessageError(f"RoleMap.roles: {self.roles.tolist()}, expected a permutation of 0 to N - 1")
+            raise MessageError("RoleMap.roles", shown(self.roles.tolist()), "a permutation of 0 to N - 1")
 
     @property
     def precedence(self) -> tuple[int, int]:

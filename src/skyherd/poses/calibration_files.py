@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from skyherd.errors import InputError, MessageError
+from skyherd.errors import InputError
 from skyherd.files.reading import MIB, read_text
 from skyherd.geometry import Array
 from skyherd.messages.checks import shown
@@ -105,8 +105,6 @@ def calibration_of(where: str, values: Table) -> Calibration:
         return _calibration(values)
     except InputError as error:
         raise error.within(where) from None
-    except MessageError as error:
-        raise InputError(where, str(error), ALLOWED) from None
 
 
 def _parsed(file: Path) -> Table:

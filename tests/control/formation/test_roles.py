@@ -136,7 +136,7 @@ def test_robots_with_unknown_position_keep_roles() -> None:
 
 
 def test_role_map_rejects_non_permutation() -> None:
-    with pytest.raises(MessageError, match="expected a permutation"):
+    with pytest.raises(MessageError, match="; a permutation"):
         RoleMap(0, 0, np.array([0, 0, 1]))
 
 

@@ -146,12 +146,12 @@ def test_inbox_keeps_newer_image_under_reordering(make_goals) -> None:
 @pytest.mark.parametrize(
     ("mask", "words"),
     [
-        (np.ones(2, dtype=bool), r"shape \(2,\), expected \(3,\)"),
-        (np.ones(4, dtype=bool), r"shape \(4,\), expected \(3,\)"),
-        (np.ones((3, 1), dtype=bool), r"shape \(3, 1\), expected \(3,\)"),
-        (np.ones((), dtype=bool), r"shape \(\), expected \(3,\)"),
-        (np.array([0, 1, 2]), "expected an array of booleans"),
-        ([True, True, True], "expected an array of booleans"),
+        (np.ones(2, dtype=bool), r"shape \(2,\); shape \(3,\)"),
+        (np.ones(4, dtype=bool), r"shape \(4,\); shape \(3,\)"),
+        (np.ones((3, 1), dtype=bool), r"shape \(3, 1\); shape \(3,\)"),
+        (np.ones((), dtype=bool), r"shape \(\); shape \(3,\)"),
+        (np.array([0, 1, 2]), "; an array of booleans"),
+        ([True, True, True], "; an array of booleans"),
     ],
 )
 def test_inbox_refuses_mask_of_another_shape(make_goals, mask, words) -> None:

@@ -327,9 +327,9 @@ class TestRobotDriver:
 
     def test_command_without_the_robot_is_refused(self, rig) -> None:
         driver, _, _ = rig
-        with pytest.raises(MessageError, match="expected 3 among them"):
+        with pytest.raises(MessageError, match="; robot 3 among them"):
             driver.send(VelocityCommand([1, 2], [0, 0], [0, 0]))
-        with pytest.raises(MessageError, match="expected 3 among them"):
+        with pytest.raises(MessageError, match="; robot 3 among them"):
             driver.send(VelocityCommand([2, 7], [1, 1], [1, 1]))
 
 

@@ -13,7 +13,7 @@ from skyherd.live.drivers.link import STILL, Link, Motion
 from skyherd.live.live_clock import steady_s
 from skyherd.live.stop_latch import NOT_HALTED
 from skyherd.messages import FlightCommand, VelocityCommand
-from skyherd.messages.checks import check_numbers
+from skyherd.messages.checks import check_numbers, shown
 
 RATE_HZ = 20.0
 """Default rate at which commands are written, Hz. *Chosen*: robots stop after some tenths of a second without
@@ -105,7 +105,7 @@ class RobotDriver:
         """
         ids = command.ids.tolist()
         if self.robot_id not in ids:
-            raise MessageError(f"VelocityCommand.ids: {ids}, expected {self.robot_id} among them")
+            raise MessageError("VelocityCommand.ids", shown(ids), f"robot {self.robot_id} among them")
         row = ids.index(self.robot_id)
         self.send_motion(Motion(command.v_mps[row], command.omega_radps[row]), stop=stop)
 

@@ -17,7 +17,7 @@ from skyherd.datasets import (
     shape_points,
     source_text,
 )
-from skyherd.errors import DegenerateSetError, InputError, ProblemCollector
+from skyherd.errors import InputError, ProblemCollector
 from skyherd.geometry import to_complex
 from skyherd.live.lab.checks import check_drivers, check_model
 from skyherd.live.lab.models import LabModel
@@ -104,7 +104,3 @@ def _template(model: LabModel, where: str, origins: Mapping[str, str]) -> Templa
     except InputError as error:  # The error names the key of scenarios; labs have another.
         key = "shape.shape" if points is None else "shape.points"
         raise InputError(locate(where, key, origins), error.what, error.allowed) from None
-    except DegenerateSetError as error:
-        raise InputError(
-            locate(where, "shape", origins), str(error), "at least two distinct points"
-        ) from None

@@ -31,7 +31,7 @@ import pyarrow as pa
 
 from skyherd.analysis.goal_points import desired_on_ground
 from skyherd.datasets import Mission
-from skyherd.errors import DegenerateSetError, InputError
+from skyherd.errors import InputError
 from skyherd.geometry import Array, apply_homography, inverse, to_complex, to_points
 from skyherd.messages import VelocityCommand
 from skyherd.render import homography_image_ground, project, undistort
@@ -214,7 +214,7 @@ def predict(mission: Mission) -> Measures:
         seen = to_complex(project(camera, pose, mission.positions_m))
         try:
             wanted = undistort(camera, pose.zoom, to_points(desired_on_ground(template, seen)))
-        except (InputError, DegenerateSetError):
+        except InputError:
             return UNKNOWN
         ground = to_complex(apply_homography(inverse(homography_image_ground(camera, pose)), wanted))
         goals[tick] = np.abs(ground - true).max()

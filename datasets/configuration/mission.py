@@ -236,7 +236,7 @@ def load_mission(
     origins = apply_settings(source.tree, settings, "control.k=0.2", SCENARIO.schema)
     if seed is not None:
         source.tree["seed"] = seed
-        origins["seed"] = "--seed"
+        origins["seed"] = "seed"
     return make_mission(source.tree, where=source.where, folder=source.folder, origins=origins)
 
 

@@ -13,7 +13,7 @@ from skyherd.datasets.configuration.validation import MAX_SHOWN
 from skyherd.errors import InputError
 from skyherd.files.reading import read_text
 from skyherd.messages.checks import check_kind, check_texts
-from skyherd.text import did_you_mean
+from skyherd.text import did_you_mean, shorten
 
 MAX_BYTES = 2**18
 """Maximum size of a TOML file, bytes. Chosen: positions of a thousand robots, one per line, take a fifth of
@@ -115,7 +115,7 @@ def apply_settings(
         see: command that shows all keys.
 
     Returns:
-        `--set KEY` by key, or `settings: KEY` of a mapping, with which later errors name the option.
+        `settings: KEY` by key, with which later errors name the setting.
 
     Raises:
         InputError: a setting has no key or no value, or its key does not exist.
@@ -129,16 +129,17 @@ def apply_settings(
     for setting in check_texts("settings", settings):
         key, equals, text = setting.partition("=")
         if not equals or not key.strip():
-            raise InputError(f"--set {setting}", "not of the form KEY=VALUE", f"such as --set {example}")
+            what = f"{shorten(setting, MAX_SHOWN)!r} is not of the form KEY=VALUE"
+            raise InputError("settings", what, f"such as {example}")
         key = key.strip()
-        put_value(tree, key, _setting_value(text), f"--set {key}", see=see)
-        origins[key] = f"--set {key}"
+        put_value(tree, key, _setting_value(text), f"settings: {key}", see=see)
+        origins[key] = f"settings: {key}"
     return origins
 
 
 def _setting_value(text: str) -> Any:
     try:
-        parsed = parse_toml(f"value = {text}", "--set", "")
+        parsed = parse_toml(f"value = {text}", "settings", "")
     except InputError:
         return text
     return parsed["value"] if len(parsed) == 1 else text

@@ -112,7 +112,7 @@ def locate(where: str, key: str, origins: Mapping[str, str], *, unknown: bool = 
     Args:
         where: the file, or its name in error messages.
         key: dotted key of the value, empty for the whole file.
-        origins: options such as `--set control.k`, by the dotted keys that they set; `*` is any item.
+        origins: settings such as `settings: control.k`, by the dotted keys that they set; `*` is any item.
         unknown: True if the key does not exist. An option whose key leads through it is then named.
     """
     parts = key.split(".")

@@ -157,7 +157,7 @@ def _contents(file: SpecFile) -> dict[str, Any]:
 
 def _check_same(path: Path, file: SpecFile) -> None:
     """Raise an error if the folder holds another set, or something else."""
-    advice = "choose another --out, or remove that folder"
+    advice = "choose another `folder=`, or remove that folder"
     if not _record(path).exists():
         raise InputError(str(path), "is not the folder of a data set", advice)
     spec, record = _read_record(path)

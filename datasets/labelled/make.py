@@ -109,7 +109,7 @@ def _run(file: SpecFile, folder: Folder, jobs: int) -> Iterator[tuple[list[int],
         except BrokenProcessPool:
             raise OutputError(
                 f"{folder.path}: a worker process was killed, possibly for lack of memory; "
-                "the same command continues from here, with fewer --jobs if necessary"
+                "the same command continues from here, with fewer `jobs=` if necessary"
             ) from None
         finally:
             pool.shutdown(cancel_futures=True)

@@ -43,7 +43,7 @@ def test_record_names_maker_of_each_file(tmp_path):
     assert {entry["made_by"] for entry in recorded(out).values()} == {"run"}
     assert "writer" not in json.loads((out / RECORD).read_text())
     (out / "mine.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"exists; choose another --out, or write into it with --force"):
+    with pytest.raises(InputError, match=r"exists; choose another `folder=`, or write .* `force=True`"):
         make(out, "again")
     make(out, "again", force=True)
     assert (out / "a.txt").read_text() == "again" and (out / "mine.txt").read_text() == "mine"
@@ -362,7 +362,7 @@ def test_record_that_the_body_removed_is_no_error(tmp_path):
 @pytest.mark.parametrize(
     ("options", "advice"),
     [
-        ({}, "move it away, or choose another --out"),
+        ({}, "move it away, or choose another `folder=`"),
         ({"elsewhere": None}, "move it away"),
         ({"elsewhere": "go"}, "move it away, or go"),
     ],

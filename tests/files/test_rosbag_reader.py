@@ -105,7 +105,7 @@ class TestProblems:
         bag = write_bag(
             tmp_path / "bag", [("/b", compressed(IMAGES[0])), ("/a/raw", raw(IMAGES[1], "mono8"))]
         )
-        assert "has 2 image topics; choose one with --topic: /a/raw, /b" in problem(bag)
+        assert "has 2 image topics; choose one with `topic=`: /a/raw, /b" in problem(bag)
         assert "has no image topic '/c'; one of /a/raw, /b" in problem(bag, "/c")
 
     def test_unknown_encodings_are_named(self, tmp_path) -> None:

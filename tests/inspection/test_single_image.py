@@ -80,7 +80,7 @@ class TestDetect:
     def test_missing_file_and_unknown_option_are_named(self, tmp_path) -> None:
         with pytest.raises(InputError, match=r"photo\.png: no such file"):
             skyherd.detect(tmp_path / "photo.png")
-        with pytest.raises(InputError, match="marker dictionary: no dictionary '4X4'"):
+        with pytest.raises(InputError, match="dictionary: no dictionary '4X4'"):
             skyherd.detect(scene(), dictionary="4X4")
 
 

@@ -99,7 +99,7 @@ def test_wrong_setting_of_a_lab_names_option_and_what_is_allowed(webcams, settin
     with pytest.raises(InputError) as refusal:
         load_lab(str(webcams), [setting])
     said = str(refusal.value).replace(str(webcams), "webcams.toml")
-    assert said.startswith(line if line.startswith("webcams.toml") else f"--set {line}")
+    assert said.startswith(line if line.startswith("webcams.toml") else f"settings: {line}")
 
 
 def test_all_problems_of_a_lab_are_reported_together(webcams) -> None:
@@ -120,7 +120,7 @@ def test_checks_of_a_lab_report_all_problems_together(webcams) -> None:
     with pytest.raises(InputErrors) as refusal:
         load_lab(str(webcams), wrong)
     said = refusal.value.lines
-    assert len(said) == 4 and all(line.startswith("--set ") for line in said)
+    assert len(said) == 4 and all(line.startswith("settings: ") for line in said)
     assert any("did you mean 'tracking'?" in line for line in said)
 
 
@@ -151,7 +151,7 @@ def test_invalid_driver_is_refused_by_every_reader_of_a_lab(webcams, address, wo
         with pytest.raises(InputError) as refusal:
             load_lab(str(webcams), [f"{entry}.driver='{address}'"])
         line = str(refusal.value)
-        assert line.startswith(f"--set {entry}.driver: ") and words in line
+        assert line.startswith(f"settings: {entry}.driver: ") and words in line
         assert "\n" not in line and "secret" not in line
 
 
@@ -212,7 +212,7 @@ def test_remote_radio_needs_certificates_or_consent(radio, secured) -> None:
     if secured:
         places.check(insecure=False)
     else:
-        with pytest.raises(InputError, match="--insecure"):
+        with pytest.raises(InputError, match="`insecure=True`"):
             places.check(insecure=False)
 
 
@@ -289,7 +289,7 @@ class TestBodies:
             load_lab(str(webcams), settings)
         place = line.replace("obstacles.", "obstacles: ")
         # An error of a default value, caused by another key, names the file.
-        assert str(refusal.value).startswith((f"--set {place}", f"{webcams}: {place}"))
+        assert str(refusal.value).startswith((f"settings: {place}", f"{webcams}: {place}"))
         assert "\n" not in str(refusal.value)
 
 

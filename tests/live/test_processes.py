@@ -113,7 +113,7 @@ class TestZenohRadio:
     def test_insecure_radio_beyond_loopback_is_refused(self, tmp_path) -> None:
         from skyherd.live.zenoh_radio import ZenohRadio
 
-        with pytest.raises(InputError, match="--insecure"):
+        with pytest.raises(InputError, match="`insecure=True`"):
             ZenohRadio(LabRadio(listen=["tcp/0.0.0.0:7450"]), tmp_path)
 
     @pytest.mark.slow

@@ -53,11 +53,11 @@ class TestInput:
             ("--cameras", "a.mp4, ", "--cameras: address 2 is empty; "),
             ("--cameras", "a.mp4", "--cameras: 1 addresses; 2, as in the lab"),
             ("--cameras", "a.mp4,b.mp4,c.mp4", "--cameras: 3 addresses; 2, as in the lab"),
-            ("--duration", "nan", "--duration: nan; a number of seconds above 0"),
+            ("--duration", "nan", "--duration: nan is not a number; a number of seconds from 0, such as 60"),
             ("--duration", "inf", "--duration: inf; a number of seconds above 0"),
             ("--duration", "0", "--duration: 0; a number of seconds above 0"),
-            ("--duration", "-5", "--duration: -5; a number of seconds above 0"),
-            ("--duration", "-0.5", "--duration: -0.5; a number of seconds above 0"),
+            ("--duration", "-5", "--duration: -5 is too small; a number of seconds from 0, such as 60"),
+            ("--duration", "-0.5", "--duration: -0.5 is too small; a number of seconds from 0, such as 60"),
         ],
     )
     def test_invalid_options_are_refused_before_start(
@@ -370,7 +370,7 @@ class TestRun:
         assert all(child.code is not None for child in scripted_run.children)
 
     def test_page_whose_port_is_taken_leaves_no_folder(self, scripted_run) -> None:
-        with bind("127.0.0.1", 0) as listener, pytest.raises(InputError, match="--port"):
+        with bind("127.0.0.1", 0) as listener, pytest.raises(InputError, match=r"^port: "):
             scripted_run.run(page=PageAddress("127.0.0.1", listener.getsockname()[1]))
         assert not scripted_run.folder.exists() and scripted_run.closed == 1
 

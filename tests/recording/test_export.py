@@ -484,7 +484,7 @@ class TestCommand:
     ) -> None:
         monkeypatch.setitem(sys.modules, module, None)
         refused = call(capsys, "export", run_folder, "--format", kind, "--out", tmp_path / "out")
-        assert_refused(refused, f"--format {kind}: ", f"pip install 'skyherd[{extra}]'")
+        assert_refused(refused, f"--format: {kind}: ", f"pip install 'skyherd[{extra}]'")
         assert not (tmp_path / "out").exists()
 
     def test_wrong_inputs_are_refused_in_one_line(self, run_folder, tmp_path, capsys) -> None:

@@ -110,7 +110,7 @@ def test_a_helper_that_is_killed_ends_the_run_in_one_line():
         next(steps)
         next(steps)
         os.kill(perception._helpers[0]._process.pid, signal.SIGKILL)
-        with pytest.raises(OutputError, match=r"has ended by itself; .* fewer --jobs"):
+        with pytest.raises(OutputError, match=r"has ended by itself; .* fewer `jobs=`"):
             for _ in steps:
                 pass
 

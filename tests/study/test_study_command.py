@@ -50,7 +50,7 @@ def test_wrong_studies_are_rejected_in_one_line(
     ("arguments", "words"),
     [
         (["nosuch"], "one of invariance, methods, noise"),
-        (["noise", "--jobs", "0"], "1 or more"),
+        (["noise", "--jobs", "0"], "--jobs: 0 is too small; a whole number from 1"),
         (["noise", "--jobs", "2", "--scheduler", "tcp://127.0.0.1:1"], "one of them"),
         (["noise", "--scheduler", "nowhere"], "not an address"),
     ],
@@ -72,7 +72,7 @@ def test_foreign_folder_is_rejected_dry_or_not(
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / name).write_text("mine")
     call_refused = call(capsys, "study", write_study(), *options, "--out", tmp_path / "out")
-    assert_refused(call_refused, "is not the folder of a study; a new folder, or that of a study")
+    assert_refused(call_refused, "is not the folder of a study; another --out: a new one, or that of a study")
     assert_refused(
         call(capsys, "study", write_study(), *options, "--out", tmp_path / "out" / name), "is a file"
     )

@@ -98,7 +98,7 @@ OF_PATTERN = {
 
 WORDS = {
     Reason.REPEATED: "id {id} is there more than once, so that none is trusted: use each id once, or report "
-    "all of them with --repeats",
+    "all of them with `repeats=True`",
     Reason.OVERLOOKED: "the detector photometric finds id {id} here: use it",
     Reason.NO_BITS: "a dark quadrilateral without bits",
     Reason.MIRRORED: "the mirror image of id {id}: flip the picture left to right",

@@ -1,4 +1,4 @@
-"""Advice for an image with few detections: to flip it, to use another print or dictionary, or `--repeats`.
+"""Advice for an image with few detections: to flip it, to use another print or dictionary, or `repeats=True`.
 
 The evidence of the image's dark and light squares ranks all prints of all dictionaries (`print_evidence`).
 The default detector confirms the best of them.
@@ -163,8 +163,9 @@ def _count(image: Image, there: PrintEvidence) -> MarkerCount:
 
 
 def _repeats_option(detector: str) -> str:
-    """Return the options that report ids that repeat, which only the default detector does."""
-    return "--repeats" if detector == DEFAULT_DETECTOR else f"--detector {DEFAULT_DETECTOR} --repeats"
+    """Return the keywords that report ids that repeat, which only the default detector does."""
+    repeats = "`repeats=True`"
+    return repeats if detector == DEFAULT_DETECTOR else f"`detector={DEFAULT_DETECTOR}` {repeats}"
 
 
 def _in_words(looked_for: PrintEvidence, there: PrintEvidence, repeats_option: str) -> str:
@@ -175,22 +176,22 @@ def _in_words(looked_for: PrintEvidence, there: PrintEvidence, repeats_option: s
     facts, options = [], []
     if there.kind.border_bits != looked_for.kind.border_bits:
         facts.append(f"drawn with a border of {there.kind.border_bits} cell(s)")
-        options.append(f"--border-bits {there.kind.border_bits}")
+        options.append(f"`border_bits={there.kind.border_bits}`")
     if there.dictionary != looked_for.dictionary:
         facts.append("of another dictionary")
-        options.append(f"--dictionary {there.dictionary}")
+        options.append(f"`dictionary={there.dictionary}`")
     if there.kind.inverted > looked_for.kind.inverted:
         facts.insert(0, "white on black")
-        options.insert(0, "--inverted")
+        options.insert(0, "`inverted=True`")
     elif there.kind.inverted < looked_for.kind.inverted:
         facts.insert(0, "black on white")
-        options.append("without --inverted")
+        options.append("`inverted=False`")
     if there.kind.mirrored:
         facts.insert(0, "mirrored")
     are = f"its markers are {_listed(facts)}"
     if repeats_option:
         are += ", and their ids repeat"
-        options.insert(-1 if options[-1:] == ["without --inverted"] else len(options), repeats_option)
+        options.insert(-1 if options[-1:] == ["`inverted=False`"] else len(options), repeats_option)
     flip = "flip it left to right and " * there.kind.mirrored
     return f"{are}; {flip}try {' '.join(options)}"
 

@@ -128,7 +128,7 @@ def load_image_sets(
     refuse_other_kind(tables, str(path), "file of image sets")
     if unknown := [name for name in only if name not in tables]:
         what = f"{path} has no set {', '.join(unknown)}"
-        raise InputError("--only", what, one_of(unknown[0], tables))
+        raise InputError("only", what, one_of(unknown[0], tables))
     problems, models = ProblemCollector(), {}
     for name, table in tables.items():
         with problems.collecting():

@@ -15,7 +15,7 @@ from typing import Any
 import typer
 
 from skyherd.cli.bench import bench_app
-from skyherd.cli.console import complain, printing_input_warnings
+from skyherd.cli.console import complain, complain_of, printing_input_warnings
 from skyherd.cli.dataset import dataset_app
 from skyherd.cli.detect import detect
 from skyherd.cli.export import export
@@ -138,8 +138,7 @@ def main(arguments: list[str] | None = None) -> None:
         with signals_as_interrupts(), printing_input_warnings():
             code = app(arguments, standalone_mode=False, prog_name="skyherd")
     except SkyherdError as error:
-        for line in error.lines if isinstance(error, InputError) else [str(error)]:
-            complain(line)
+        complain_of(error)
         code = error.exit_code
     except OSError as error:
         complain(f"{error.filename or 'output'}: {error.strerror or error}; nothing after this was written")

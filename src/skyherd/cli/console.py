@@ -8,7 +8,8 @@ from typing import Any, Self
 
 import typer
 
-from skyherd.errors import InputWarning
+from skyherd.cli.keywords import error_lines, with_options
+from skyherd.errors import InputWarning, SkyherdError
 from skyherd.text import printable, shorten
 
 MAX_CHARACTERS = 480
@@ -25,9 +26,15 @@ def complain(text: str) -> None:
     typer.echo(f"error: {_one_line(text)}", err=True)
 
 
+def complain_of(error: SkyherdError) -> None:
+    """Print each problem of an error on stderr as `complain` does, with options for parameters."""
+    for line in error_lines(error):
+        complain(line)
+
+
 def warn(text: str) -> None:
-    """Print a warning on stderr, as one line of less than 500 characters whatever the text."""
-    typer.echo(f"warning: {_one_line(text)}", err=True)
+    """Print a warning on stderr, as one line of less than 500 characters, with options for parameters."""
+    typer.echo(f"warning: {_one_line(with_options(text))}", err=True)
 
 
 @contextmanager

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from skyherd.cli.choices import TABLE_FORMATS, complete_dictionary, complete_format
-from skyherd.cli.console import ProgressReporter, complain, say, say_table, warn
+from skyherd.cli.console import ProgressReporter, complain_of, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
+from skyherd.cli.keywords import with_options
 from skyherd.cli.options import (
     BorderBits,
     Detector,
@@ -146,7 +147,7 @@ def _say_results(results: list["FileResult"]) -> None:
     say_table(("file", "frames", "markers", "ids"), rows, right_aligned=("frames", "markers"))
     for result in results:
         if result.trouble is not None:
-            complain(str(result.trouble))
+            complain_of(result.trouble)
         elif result.hint or not result.ids:
             found = f"only {sum(result.ids.values())} marker(s) found" if result.ids else "no marker found"
             warn(f"{result.file}: {found}" + (f": {result.hint}" if result.hint else ""))
@@ -174,7 +175,7 @@ def _say_rejections(result: "FileResult") -> None:
             continue
         shown[reason] += 1
         u, v = rejection.center_px
-        say(f"  {number}. at ({u:.0f}, {v:.0f}): {reason}: {rejection.words}")
+        say(f"  {number}. at ({u:.0f}, {v:.0f}): {reason}: {with_options(rejection.words)}")
     if plain := len(result.rejections) - len(likely):
         rest["dark quadrilateral without bits"] = plain
     if rest:

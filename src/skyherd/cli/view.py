@@ -74,7 +74,7 @@ def write_replay(recording_file: Path, html: Path, *, force: bool) -> None:
     from skyherd.play.extras import require_viser
 
     require_viser("view")
-    output = OutputFile(html, "view", force=force, inputs=[recording_file], option="--html")
+    output = OutputFile(html, "view", force=force, inputs=[recording_file], parameter="html")
     output.check()
     recording = _read(recording_file)
     from skyherd.play.replay import replay_html

@@ -19,7 +19,7 @@ from skyherd.version import __version__
 RECORD = ".skyherd.json"
 """Name of the record in a folder."""
 
-ABOUT = "Files that skyherd made in this folder. --force replaces only these files."
+ABOUT = "Files that skyherd made in this folder. Only these may be replaced, on request."
 """Explanation inside the record."""
 
 
@@ -55,7 +55,7 @@ def read_entries(folder: Path) -> dict[str, Entry]:
     except (AttributeError, KeyError, TypeError):
         raise InputError(str(path), "damaged", allowed) from None
     for name in entries:
-        # A name that leads out of the folder would let `--force` remove a file elsewhere.
+        # A name that leads out of the folder would let `force` remove a file elsewhere.
         if not name or Path(name).is_absolute() or ".." in Path(name).parts:
             raise InputError(str(path), f"names {shorten(printable(name), 60)!r}", allowed)
     return entries

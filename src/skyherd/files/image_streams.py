@@ -26,7 +26,7 @@ def open_stream(path: Path, topic: str | None = None) -> Clip:
     if is_bag(path):
         return open_bag(path, topic)
     if topic is not None:
-        raise InputError("--topic", f"{path} is not a rosbag2 recording", "leave --topic out")
+        raise InputError("topic", f"{path} is not a rosbag2 recording", "leave it out")
     return open_clip(path)
 
 

@@ -22,7 +22,7 @@ class OutputFile:
         verb: the writing verb.
         force: accept an existing file, if the verb made it.
         inputs: files that are read, none of which may be replaced.
-        option: option of the command line that names the file.
+        parameter: name of the parameter that names the file.
 
     Entering raises InputError as `check` does, or if another process keeps the folder in use.
     """
@@ -34,9 +34,9 @@ class OutputFile:
         *,
         force: bool = False,
         inputs: Sequence[Path] = (),
-        option: str = "--out",
+        parameter: str = "path",
     ) -> None:
-        self.path, self._force, self._option = path, force, option
+        self.path, self._force, self._parameter = path, force, parameter
         self._folder = OutputFolder(path.parent, verb, [path.name], resume=True, inputs=inputs, wait_s=WAIT_S)
 
     def check(self) -> None:
@@ -49,9 +49,8 @@ class OutputFile:
         if not self.path.parent.is_dir():
             raise InputError(str(self.path), f"no folder {self.path.parent}", "make it first")
         if os.path.lexists(self.path) and not self._force:
-            raise InputError(
-                str(self.path), "exists", f"choose another {self._option}, or replace it with --force"
-            )
+            allowed = f"choose another `{self._parameter}=`, or replace it with `force=True`"
+            raise InputError(str(self.path), "exists", allowed)
         self._folder.check()
 
     def __enter__(self) -> Self:

@@ -1,10 +1,10 @@
-"""Ownership of output folders: what may be written, and what `--force` may replace.
+"""Ownership of output folders: what may be written, and what `force` may replace.
 
 An output folder has a record, `.skyherd.json`. It lists the files that skyherd made, the verb of each, and
 its SHA-256. The rules for every verb follow from it:
 
 - A file that is not in the record, or was changed since, is foreign. It is never replaced or removed.
-- `--force` removes files that the same verb made there before, and nothing else.
+- `force` removes files that the same verb made there before, and nothing else.
 - Names are claimed in the record before they are written, so that remains of a killed process are known.
 - A failed command removes its files and a new folder, unless it kept them for a later command.
 - One process at a time writes into a folder. A lock enforces this and ends with the process.
@@ -62,7 +62,7 @@ class OutputFolder:
         resume: bool = False,
         inputs: Sequence[Path] = (),
         wait_s: float = 0.0,
-        elsewhere: str | None = "choose another --out",
+        elsewhere: str | None = "choose another `folder=`",
     ) -> None:
         self.path, self.verb, self.names = path, verb, list(names)
         self._force, self._resume, self._inputs, self._wait_s = force, resume, inputs, wait_s
@@ -81,11 +81,13 @@ class OutputFolder:
         """
         check_name(self.path)
         if os.path.lexists(self.path) and not os.path.isdir(self.path):
-            raise InputError(str(self.path), "is a file", "a folder to make; choose another --out")
+            raise InputError(str(self.path), "is a file", "a folder to make; choose another `folder=`")
         if not os.path.lexists(self.path):
             return
         if not (self._force or self._resume):
-            raise InputError(str(self.path), "exists", "choose another --out, or write into it with --force")
+            raise InputError(
+                str(self.path), "exists", "choose another `folder=`, or write into it with `force=True`"
+            )
         entries = read_entries(self.path)
         for name in self.names:
             self._check_free(name, entries)
@@ -158,7 +160,7 @@ class OutputFolder:
                     raise self._foreign(self.path / parent, "is in the way")
             return
         if any(_is_same(path, read) for read in self._inputs):
-            raise InputError(str(path), "is an input, and would be replaced", "choose another --out")
+            raise InputError(str(path), "is an input, and would be replaced", "choose another `folder=`")
         entry = entries.get(name)
         if entry is None:
             raise self._foreign(path, "was not made by skyherd")
@@ -258,10 +260,10 @@ def check_name(path: Path) -> None:
     try:
         str(path).encode("utf-8")
     except UnicodeEncodeError:
-        raise InputError(str(path), "its name is not UTF-8", "another --out") from None
+        raise InputError(str(path), "its name is not UTF-8", "another `folder=`") from None
     longest = max((len(part.encode()) for part in path.parts), default=0)
     if "\0" in str(path) or longest > MAX_NAME_BYTES:
-        raise InputError(str(path), "no file can have this name", "another --out")
+        raise InputError(str(path), "no file can have this name", "another `folder=`")
 
 
 def _is_same(path: Path, other: Path) -> bool:

@@ -153,9 +153,9 @@ def _image_topic(path: Path, reader: Any, topic: str | None) -> str:
     if not found:
         raise InputError(str(path), "has no image topic", f"a bag with {RAW} or {COMPRESSED}")
     if topic is None and len(found) > 1:
-        raise InputError(str(path), f"has {len(found)} image topics", f"choose one with --topic: {names}")
+        raise InputError(str(path), f"has {len(found)} image topics", f"choose one with `topic=`: {names}")
     if topic is not None and topic not in found:
-        raise InputError("--topic", f"{path} has no image topic {topic!r}", f"one of {names}")
+        raise InputError("topic", f"{path} has no image topic {topic!r}", f"one of {names}")
     return found[0] if topic is None else topic
 
 

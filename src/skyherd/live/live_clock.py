@@ -35,7 +35,7 @@ class LiveClock:
     def __init__(self, offset_s: float = 0.0) -> None:
         if not abs(offset_s) <= MAX_OFFSET_S:
             raise InputError(
-                "--clock-offset",
+                "offset_s",
                 f"{offset_s:g}",
                 f"a number of seconds, {MAX_OFFSET_S:g} at most either way",
             )

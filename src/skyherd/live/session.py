@@ -239,7 +239,7 @@ def _check_addresses(lab: Lab, lab_file: str, cameras: Sequence[str], *, dry_run
         try:
             check_camera(address)
         except InputError as error:
-            place = f"--cameras: address {unit + 1}" if cameras else f"{lab_file}: cameras.{unit}.address"
+            place = f"cameras: address {unit + 1}" if cameras else f"{lab_file}: cameras.{unit}.address"
             shown = "" if error.where == "camera" else f": {error.where}"
             raise InputError(place + shown, error.what, error.allowed) from None
 
@@ -250,15 +250,15 @@ def _check_options(lab: Lab, cameras: Sequence[str], duration_s: float | None) -
     for number, address in enumerate(cameras, 1):
         if not address.strip():
             raise InputError(
-                "--cameras",
+                "cameras",
                 f"address {number} is empty",
                 f"{count} with commas between, or leave the option out for the lab's own",
             )
     if cameras and len(cameras) != count:
-        raise InputError("--cameras", f"{len(cameras)} addresses", f"{count}, as in the lab")
+        raise InputError("cameras", f"{len(cameras)} addresses", f"{count}, as in the lab")
     if duration_s is not None and not (math.isfinite(duration_s) and duration_s > 0):
         raise InputError(
-            "--duration",
+            "duration_s",
             f"{duration_s:g}",
             "a number of seconds above 0, or leave it out to run until Ctrl-C",
         )

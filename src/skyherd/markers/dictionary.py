@@ -70,7 +70,7 @@ def with_border(name: str, border_bits: int) -> str:
     if border_bits == 1:
         return name
     if BORDER_MARK in name:
-        raise InputError("marker dictionary", f"{name} names its border already", "one of the two")
+        raise InputError("dictionary", f"{name} names its border already", "one of the two")
     return f"{name}{BORDER_MARK}{border_bits}"
 
 
@@ -81,13 +81,13 @@ def border_cells(name: str) -> int:
     Raises:
         InputError: the suffix of the dictionary's name is not a valid width.
     """
-    check_kind("marker dictionary", name, str, "a name such as 4X4_50")
+    check_kind("dictionary", name, str, "a name such as 4X4_50")
     _, mark, width = name.partition(BORDER_MARK)
     if not mark:
         return 1
     if width not in map(str, range(1, MAX_BORDER_BITS + 1)):
         raise InputError(
-            "marker dictionary", f"{name!r}", f"a border of 1 to {MAX_BORDER_BITS} cells after {BORDER_MARK}"
+            "dictionary", f"{name!r}", f"a border of 1 to {MAX_BORDER_BITS} cells after {BORDER_MARK}"
         )
     return int(width)
 
@@ -105,7 +105,7 @@ def load_dictionary(name: str) -> cv2.aruco.Dictionary:
         return _generate(name)
     if name not in dictionary_names():
         raise InputError(
-            "marker dictionary",
+            "dictionary",
             f"no dictionary {name!r}",
             "the name that `skyherd detect --dictionary auto` finds"
             if name == "auto"

@@ -76,8 +76,8 @@ class Layout:
         return left + column * (self.card_mm + GAP_MM), top - tall - row * (tall + GAP_MM)
 
 
-def parse_ids(text: str, dictionary: str, where: str = "--ids") -> list[int]:
-    """Parse ids such as `0-15,20`: each once, in the given order. `where` is the option's name in errors.
+def parse_ids(text: str, dictionary: str, where: str = "ids") -> list[int]:
+    """Parse ids such as `0-15,20`: each once, in the given order. `where` is their name in errors.
 
     Raises:
         InputError: the text is not a list of ids, or an id is not in the dictionary.
@@ -92,7 +92,9 @@ def parse_ids(text: str, dictionary: str, where: str = "--ids") -> list[int]:
         if end < first:
             raise InputError(where, f"{part.strip()!r} runs backwards", f"write {end}-{first}")
         if end > last:
-            raise InputError(where, f"{end} is not in {dictionary}", f"0 to {last}, or a larger --dictionary")
+            raise InputError(
+                where, f"{end} is not in {dictionary}", f"0 to {last}, or a larger `dictionary=`"
+            )
         ids.update(dict.fromkeys(range(first, end + 1)))
     return list(ids)
 
@@ -100,7 +102,7 @@ def parse_ids(text: str, dictionary: str, where: str = "--ids") -> list[int]:
 def parse_length_mm(text: str, where: str) -> float:
     """Parse a length with its unit, such as `0.12m`, `12 cm` or `120mm`, into millimetres.
 
-    `where` is the option's name in the error message.
+    `where` is its name in the error message.
 
     Raises:
         InputError: the text has no unit, or is not a positive length.
@@ -141,7 +143,7 @@ def lay_out(paper: str, side_mm: float, dictionary: str) -> Layout:
         InputError: there is no such paper, or no marker fits it.
     """
     if paper not in PAPERS_MM:
-        raise InputError("--paper", f"no paper {paper!r}", f"one of {', '.join(PAPERS_MM)}")
+        raise InputError("paper", f"no paper {paper!r}", f"one of {', '.join(PAPERS_MM)}")
     card_mm = side_mm * card_side(dictionary)
     width, height = PAPERS_MM[paper]
     layouts = []
@@ -161,7 +163,7 @@ def lay_out(paper: str, side_mm: float, dictionary: str) -> Layout:
         sides = {name: max_side_mm(name, dictionary) for name in PAPERS_MM}
         larger = [name for name, side in sides.items() if side >= side_mm]
         raise InputError(
-            "--side",
+            "side",
             f"{side_mm:g} mm and its white margin do not fit {paper}",
             f"at most {sides[paper]:g} mm do" + (f"; {larger[0]} holds {side_mm:g} mm" if larger else ""),
         )

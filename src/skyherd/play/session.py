@@ -169,7 +169,7 @@ class Session:
         origins = apply_settings(source.tree, settings, "control.k=0.2", "skyherd scenario schema")
         if seed is not None:
             source.tree["seed"] = seed
-            origins["seed"] = "--seed"
+            origins["seed"] = "seed"
         if not folder.is_dir():
             raise InputError(str(folder), "no such folder", "an existing folder for saved scenarios")
         return cls(source, origins=origins, folder=folder, speed=speed)

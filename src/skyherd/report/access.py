@@ -115,12 +115,12 @@ def bind(host: str, port: int) -> socket.socket:
         listener = socket.socket(family, socket.SOCK_STREAM)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     except (OSError, ValueError):
-        raise InputError(f"--host {host}", "no such address", "an address of this computer") from None
+        raise InputError("host", f"no such address {host!r}", "an address of this computer") from None
     try:
         listener.bind((host, port))
         listener.listen()
     except OSError as error:
         listener.close()
-        allowed = "another --port, or 0 for a free one"
-        raise InputError(f"--port {port}", error.strerror or str(error), allowed) from None
+        allowed = "another `port=`, or 0 for a free one"
+        raise InputError("port", f"{port}: {error.strerror or error}", allowed) from None
     return listener

@@ -30,7 +30,7 @@ from skyherd.sim.sight import Perception, Sight
 from skyherd.sim.world import World
 
 GONE = OutputError(
-    "a process that drew cameras has ended by itself; is there enough memory? try fewer --jobs"
+    "a process that drew cameras has ended by itself; is there enough memory? try fewer `jobs=`"
 )
 """Error raised if a helper has ended."""
 

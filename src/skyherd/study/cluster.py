@@ -208,7 +208,7 @@ def _local_cluster(jobs: int, folder: Path) -> LocalCluster:
         )
     except (RuntimeError, OSError) as error:
         raise OutputError(
-            f"{jobs} worker processes could not be started: {error}; try fewer --jobs"
+            f"{jobs} worker processes could not be started: {error}; try fewer `jobs=`"
         ) from None
 
 
@@ -216,24 +216,24 @@ def _local_cluster(jobs: int, folder: Path) -> LocalCluster:
 def _connect(address: str) -> Iterator[Client]:
     allowed = "such as tcp://192.168.1.2:8786, or tls:// with certificates in Dask's configuration"
     if not address.startswith(PROTOCOLS):
-        raise InputError(f"--scheduler {address}", "not an address", allowed)
+        raise InputError("scheduler", f"{address!r} is not an address", allowed)
     try:
         client = Client(address, timeout=TIMEOUT_S)
     except ssl.SSLError as error:
-        raise InputError(f"--scheduler {address}", f"TLS fails: {error.reason}", allowed) from None
+        raise InputError("scheduler", f"TLS of {address} fails: {error.reason}", allowed) from None
     except OSError:
-        raise InputError(f"--scheduler {address}", "no scheduler answers there", allowed) from None
+        raise InputError("scheduler", f"no scheduler answers at {address}", allowed) from None
     except TypeError:  # A TLS address without certificates.
-        raise InputError(f"--scheduler {address}", "no certificates for TLS", allowed) from None
+        raise InputError("scheduler", f"no certificates for TLS with {address}", allowed) from None
     except (ValueError, RuntimeError):
-        raise InputError(f"--scheduler {address}", "not an address", allowed) from None
+        raise InputError("scheduler", f"{address!r} is not an address", allowed) from None
     with client:
         try:
             client.wait_for_workers(1, timeout=TIMEOUT_S)
         except TimeoutError:
-            what = f"has no workers after {TIMEOUT_S:g} s"
-            allowed = f"start some there: dask worker {address} --nthreads 1"
-            raise InputError(f"--scheduler {address}", what, allowed) from None
+            what = f"{address} has no workers after {TIMEOUT_S:g} s"
+            allowed = f"start some there: `dask worker {address} --nthreads 1`"
+            raise InputError("scheduler", what, allowed) from None
         for worker, found in client.run(_version, on_error="return").items():
             _check_version(worker, found)
         yield client

@@ -86,7 +86,7 @@ class StudySpec(Parts):
     pages: Literal["figures", "invariance", "methods"] = Field(
         "figures", description="kind of page made from the table"
     )
-    quick: dict[str, Any] = Field({}, description="keys of the study that --quick changes")
+    quick: dict[str, Any] = Field({}, description="keys of the study that `skyherd study --quick` changes")
 
     @field_validator("keep")
     @classmethod
@@ -236,7 +236,7 @@ def load_study(name_or_file: str, *, quick: bool = False) -> Study:
     tree, where = source.tree, source.where
     if quick:
         if not isinstance(tree.get("quick"), dict):
-            raise InputError(f"{where}: quick", "missing", "a table of the keys that --quick changes")
+            raise InputError(f"{where}: quick", "missing", "a table of the keys that a quick study changes")
         tree = _merge(tree, tree["quick"])
     spec = check_tree(StudySpec, tree, where, see=STUDY.schema)
     return Study(Path(name_or_file).stem if source.is_file else name_or_file, spec, where, source.folder)

@@ -112,7 +112,7 @@ def check_store(folder: Path, names: Sequence[str] = ()) -> OutputFolder:
     """
     if _is_foreign(folder):
         raise InputError(
-            str(folder), "is not the folder of a study", "a new folder, or that of a study; see --out"
+            str(folder), "is not the folder of a study", "another `folder=`: a new one, or that of a study"
         )
     output = OutputFolder(folder, VERB, [MARK, f"{PARTS}/", *names], resume=True)
     output.check()

@@ -55,7 +55,7 @@ def _place(marker: MarkerPose, found: Survey) -> Place:
     """Return the place of a marker on the robot, rounded, with its height above the reference marker."""
     if marker.id < found.reference:
         what = f"{found.reference} is the reference, above marker {marker.id}"
-        raise InputError("--reference", what, "the lowest id of the robot")
+        raise InputError("reference", what, "the lowest id of the robot")
     face, yaw_deg = _face(marker)
     x, y, z = (np.round(marker.position_m / found.side_m / ROUNDING_SIDES) * ROUNDING_SIDES).tolist()
     return Place(marker.id - found.reference, (x + 0.0, y + 0.0), float(np.radians(yaw_deg)), z, face)

@@ -103,7 +103,7 @@ def survey(
     for view in of_frame:
         if not view.ids.size:
             raise InputError(
-                view.name, "shows no marker of --fixed", "markers that it shows, or leave it out"
+                view.name, "shows no marker of `fixed=`", "markers that it shows, or leave it out"
             )
     frame = common_frame(of_frame, side_m, reference=reference, coplanar=coplanar)
     factor = 1.0 if frame.consistent else frame.chi_squared / frame.freedoms

@@ -21,7 +21,7 @@ turn."""
 
 def take_views(
     pictures: Sequence[Path],
-    cameras: Sequence[str],
+    calibrations: Sequence[str],
     *,
     dictionary: str,
     detector: str = "photometric",
@@ -38,7 +38,7 @@ def take_views(
 
     Args:
         pictures: pictures, videos and rosbag2 recordings.
-        cameras: calibration files as `FILE` or `FILE#NAME`: one of all pictures, or one of each.
+        calibrations: calibration files as `FILE` or `FILE#NAME`: one of all pictures, or one of each.
         dictionary: name of the markers' dictionary.
         detector: name of the detector, or `module:factory`.
         border_bits: width of the markers' black border in cells.
@@ -51,10 +51,10 @@ def take_views(
         InputError: a picture, recording or calibration cannot be read, their numbers or sizes differ, or one
             shows no marker.
     """
-    calibrations = _calibrations(cameras, len(pictures))
+    read = _calibrations(calibrations, len(pictures))
     names = _names(pictures)
     views: list[View] = []
-    for done, (picture, calibration, name) in enumerate(zip(pictures, calibrations, names, strict=True)):
+    for done, (picture, calibration, name) in enumerate(zip(pictures, read, names, strict=True)):
         progress.update("pictures", done, len(pictures))
         before = len(views)
         for part, image in _images(picture, frames):
@@ -73,7 +73,7 @@ def take_views(
         if len(views) == before:
             raise InputError(
                 str(picture),
-                f"shows no marker of {dictionary if fixed is None else '--fixed'}",
+                f"shows no marker of {dictionary if fixed is None else '`fixed=`'}",
                 f"leave it out; `skyherd detect {picture} --explain` says why",
             )
     progress.update("pictures", len(pictures), len(pictures))
@@ -93,14 +93,14 @@ def _images(path: Path, frames: int) -> Iterator[tuple[str, npt.NDArray[np.uint8
             yield f" {frame.time_s:.2f} s", frame.image
 
 
-def _calibrations(cameras: Sequence[str], count: int) -> list[Calibration]:
-    if len(cameras) not in (1, count):
+def _calibrations(names: Sequence[str], count: int) -> list[Calibration]:
+    if len(names) not in (1, count):
         raise InputError(
-            "--camera",
-            f"{len(cameras)} calibrations for {count} files",
+            "calibrations",
+            f"{len(names)} calibrations for {count} files",
             "one for all, or one for each picture and recording, in their order",
         )
-    found = [read_calibration(camera) for camera in cameras]
+    found = [read_calibration(name) for name in names]
     return found * count if len(found) == 1 else found
 
 

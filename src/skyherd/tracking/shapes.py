@@ -24,7 +24,7 @@ def named_shape(name: str) -> ShapeSource:
         InputError: no shape has that name.
     """
     if name not in SHAPES and not name.startswith("word:"):
-        raise InputError("--shape", f"no shape {name!r}", f"one of {', '.join(SHAPES)}, word:SKY")
+        raise InputError("shape", f"no shape {name!r}", f"one of {', '.join(SHAPES)}, word:SKY")
     return lambda ids: Template.from_ground_points(ids, shape_points(name, int(ids.size)))
 
 

@@ -67,7 +67,7 @@ def test_wrong_value_of_each_key_is_refused_with_its_place(kind: str, model: Any
                 star(of(kind, **{key: wrong}))
             lines = caught.value.lines
             assert all("\n" not in line and "; " in line and len(line) < 500 for line in lines), lines
-            assert any(line.startswith(f"--set interventions: 0.{key}") for line in lines), (field, lines)
+            assert any(line.startswith(f"settings: interventions: 0.{key}") for line in lines), (field, lines)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_impossible_intervention_is_refused_in_one_line(table: dict[str, Any], s
     with pytest.raises(InputError) as caught:
         star(table)
     assert len(caught.value.lines) == 1
-    assert str(caught.value).startswith(f"--set interventions: {said}")
+    assert str(caught.value).startswith(f"settings: interventions: {said}")
 
 
 def test_lens_is_checked_with_the_zoom_of_its_time() -> None:

@@ -160,7 +160,7 @@ def test_unknown_key_of_another_table_names_its_place():
 def test_unknown_key_of_an_optional_table_gets_the_nearest():
     with pytest.raises(InputError) as caught:
         load_mission("grid", ["robots.scatter.jitter=1"])
-    assert str(caught.value) == "--set robots.scatter.jitter: unknown key; did you mean 'jitter_m'?"
+    assert str(caught.value) == "settings: robots.scatter.jitter: unknown key; did you mean 'jitter_m'?"
 
 
 @pytest.mark.parametrize(
@@ -214,7 +214,9 @@ def test_prefixes_of_renamed_keys_are_refused_with_new_name():
         setting = f"autopilot.{old}height_m=5"
         with pytest.raises(InputError) as caught:
             load_mission("star", [setting])
-        assert str(caught.value) == (f"--set autopilot.{old}height_m: unknown key; renamed to {new}height_m")
+        assert str(caught.value) == (
+            f"settings: autopilot.{old}height_m: unknown key; renamed to {new}height_m"
+        )
 
 
 def test_old_key_of_a_nested_list_is_refused_with_the_new_name():
@@ -227,14 +229,17 @@ def test_old_key_of_a_nested_list_is_refused_with_the_new_name():
 @pytest.mark.parametrize(
     ("settings", "lines"),
     [
-        (["control.k=-1"], ["--set control.k: -1; a finite number from"]),
-        (["contrl.k=1"], ["--set contrl.k: unknown key; did you mean 'control'?"]),
-        (["units.*.height_m=x"], ["--set units.*.height_m: 'x'; ", "--set units.*.height_m: 'x'; "]),
-        (["marker={size=1}"], ["--set marker: size: unknown key; ", "--set marker: side_m: missing; "]),
-        (["detector=best"], ["--set detector: no detector 'best'; one of "]),
-        (["seed"], ["--set seed: not of the form KEY=VALUE; such as --set control.k=0.2"]),
-        (["duration_s.x=1"], ["--set duration_s.x: nothing is called 'x' there; "]),
-        (["units.9.height_m=1"], ["--set units.9.height_m: no item '9' in the list; 0 to 2, or *"]),
+        (["control.k=-1"], ["settings: control.k: -1; a finite number from"]),
+        (["contrl.k=1"], ["settings: contrl.k: unknown key; did you mean 'control'?"]),
+        (["units.*.height_m=x"], ["settings: units.*.height_m: 'x'; ", "settings: units.*.height_m: 'x'; "]),
+        (
+            ["marker={size=1}"],
+            ["settings: marker: size: unknown key; ", "settings: marker: side_m: missing; "],
+        ),
+        (["detector=best"], ["settings: detector: no detector 'best'; one of "]),
+        (["seed"], ["settings: 'seed' is not of the form KEY=VALUE; such as control.k=0.2"]),
+        (["duration_s.x=1"], ["settings: duration_s.x: nothing is called 'x' there; "]),
+        (["units.9.height_m=1"], ["settings: units.9.height_m: no item '9' in the list; 0 to 2, or *"]),
     ],
 )
 def test_problem_of_a_setting_names_the_option(settings, lines):
@@ -242,11 +247,11 @@ def test_problem_of_a_setting_names_the_option(settings, lines):
         load_mission("star", settings)
     for line in lines:
         assert any(said.startswith(line) for said in caught.value.lines), caught.value.lines
-    assert all(said.startswith("--set ") for said in caught.value.lines)
+    assert all(said.startswith("settings: ") for said in caught.value.lines)
 
 
 def test_seed_out_of_range_names_its_option():
-    with pytest.raises(InputError, match=r"^--seed: -1; a whole number"):
+    with pytest.raises(InputError, match=r"^seed: -1; a whole number"):
         load_mission("star", seed=-1)
 
 
@@ -255,13 +260,13 @@ def test_seed_out_of_range_names_its_option():
     [
         ("a.b", "file: a.b"),
         ("", "file"),
-        ("units.3.camera.lens", "--set units.*.camera: lens"),
-        ("units.3.camera", "--set units.*.camera"),
+        ("units.3.camera.lens", "settings: units.*.camera: lens"),
+        ("units.3.camera", "settings: units.*.camera"),
         ("units.3", "file: units.3"),
     ],
 )
 def test_place_of_a_problem(key, place):
-    assert locate("file", key, {"units.*.camera": "--set units.*.camera"}) == place
+    assert locate("file", key, {"units.*.camera": "settings: units.*.camera"}) == place
 
 
 def _even(value):

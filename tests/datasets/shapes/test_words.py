@@ -112,7 +112,7 @@ def test_a_scenario_may_ask_for_a_word() -> None:
     settings = ["template.shape=word:SKY", "robots.count=36", "marker.dictionary=5X5_100"]
     mission = load_mission("grid", settings)
     assert mission.ids.size == 36
-    with pytest.raises(InputError, match=r"--set template\.shape: 9 robots to write SKY.*at least 20"):
+    with pytest.raises(InputError, match=r"settings: template\.shape: 9 robots to write SKY.*at least 20"):
         load_mission("grid", [*settings, "robots.count=9"])
     with pytest.raises(InputError, match=r"one of circle, .*word:SKY"):
         load_mission("grid", ["template.shape=blob"])

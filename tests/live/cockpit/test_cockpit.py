@@ -93,7 +93,7 @@ class TestServer:
         assert body.count(b"<script") == 1 and f'<script nonce="{nonce}">'.encode() in body
 
     def test_taken_port_is_one_error(self, server, tmp_path) -> None:
-        with pytest.raises(InputError, match="--port"):
+        with pytest.raises(InputError, match=r"^port: "):
             Server(PageAddress("127.0.0.1", server.access.port), tmp_path, 1, "other")
 
     def test_silent_browsers_hold_nothing(self, server) -> None:

@@ -337,9 +337,9 @@ def corner_mix(corners: np.ndarray, x: float, y: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        (BridgeSettings("0", side_m=0.08), "--marker-side-m: given without a calibration"),
-        (BridgeSettings("0", to="mqtt://host/a"), "--to: 'mqtt://host/a'; ros2://host:7447/namespace"),
-        (BridgeSettings("0", to="ros2://host:77777/a"), "--to: Port out of range"),
+        (BridgeSettings("0", side_m=0.08), "side_m: given without a calibration"),
+        (BridgeSettings("0", to="mqtt://host/a"), "to: 'mqtt://host/a'; ros2://host:7447/namespace"),
+        (BridgeSettings("0", to="ros2://host:77777/a"), "to: Port out of range"),
     ],
 )
 def test_invalid_settings_are_one_line(settings, said) -> None:

@@ -479,7 +479,7 @@ def test_noise_is_not_explained() -> None:
 
 def test_another_dictionary_is_suggested(draw) -> None:
     image = draw(50, ids=[5, 60, 70, 99], dictionary="5X5_100")
-    assert suggest(image, DICTIONARY) == "its markers are of another dictionary; try --dictionary 5X5_100"
+    assert suggest(image, DICTIONARY) == "its markers are of another dictionary; try `dictionary=5X5_100`"
     assert suggest(draw(50), DICTIONARY) is None
     assert "mirrored" in (suggest(np.ascontiguousarray(draw(50)[:, ::-1]), DICTIONARY) or "")
 

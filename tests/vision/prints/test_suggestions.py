@@ -1,5 +1,7 @@
 """Suggestions for an image of few detections: markers that are drawn otherwise than those looked for."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -35,45 +37,45 @@ def drawn(ids=IDS, *, dictionary="4X4_50", inverted=False) -> np.ndarray:
 @pytest.mark.parametrize(
     ("there", "looked_for", "said"),
     [
-        ({"inverted": True}, {}, "white on black; try --inverted"),
-        ({}, {"inverted": True}, "black on white; try without --inverted"),
+        ({"inverted": True}, {}, "white on black; try `inverted=True`"),
+        ({}, {"inverted": True}, "black on white; try `inverted=False`"),
         (
             {"dictionary": "4X4_50@2"},
             {},
-            "drawn with a border of 2 cell(s); try --border-bits 2",
+            "drawn with a border of 2 cell(s); try `border_bits=2`",
         ),
-        ({}, {"border_bits": 2}, "drawn with a border of 1 cell(s); try --border-bits 1"),
+        ({}, {"border_bits": 2}, "drawn with a border of 1 cell(s); try `border_bits=1`"),
         (
             {"dictionary": "4X4_50@3", "inverted": True},
             {},
-            "white on black and drawn with a border of 3 cell(s); try --inverted --border-bits 3",
+            "white on black and drawn with a border of 3 cell(s); try `inverted=True` `border_bits=3`",
         ),
         (
             {"dictionary": "5X5_50@2"},
             {"border_bits": 2},
-            "of another dictionary; try --dictionary 5X5_50",
+            "of another dictionary; try `dictionary=5X5_50`",
         ),
         (
             {"dictionary": "5X5_50", "inverted": True},
             {},
-            "white on black and of another dictionary; try --inverted --dictionary 5X5_50",
+            "white on black and of another dictionary; try `inverted=True` `dictionary=5X5_50`",
         ),
         (
             {"dictionary": "5X5_50", "inverted": True},
             {"inverted": True},
-            "of another dictionary; try --dictionary 5X5_50",
+            "of another dictionary; try `dictionary=5X5_50`",
         ),
         (
             {"dictionary": "5X5_50@3", "inverted": True},
             {},
             "white on black, drawn with a border of 3 cell(s) and of another dictionary; "
-            "try --inverted --border-bits 3 --dictionary 5X5_50",
+            "try `inverted=True` `border_bits=3` `dictionary=5X5_50`",
         ),
         (
             {"dictionary": "APRILTAG_36h11"},
             {"border_bits": 2, "inverted": True},
             "black on white, drawn with a border of 1 cell(s) and of another dictionary; "
-            "try --border-bits 1 --dictionary APRILTAG_36h11 without --inverted",
+            "try `border_bits=1` `dictionary=APRILTAG_36h11` `inverted=False`",
         ),
     ],
 )
@@ -88,13 +90,9 @@ def test_suggestion_names_the_difference_and_finds_the_markers(there, looked_for
 
 def _options(said: str, looked_for: dict) -> dict:
     """The options of `create_detector` that a suggestion amounts to."""
-    words = said.partition("try ")[2].split()
     options = {"dictionary": "4X4_50"} | looked_for
-    if "--inverted" in words:
-        options["inverted"] = "without" not in words
-    for name, kind in (("--border-bits", int), ("--dictionary", str)):
-        if name in words:
-            options[name.strip("-").replace("-", "_")] = kind(words[words.index(name) + 1])
+    for name, value in re.findall(r"`(\w+)=(\w+)`", said):
+        options[name] = {"True": True, "False": False}.get(value, int(value) if value.isdigit() else value)
     return options
 
 
@@ -108,31 +106,31 @@ def test_suggest_returns_none_if_the_settings_are_right(options) -> None:
 @pytest.mark.parametrize("options", [{}, {"inverted": True}])
 def test_suggest_counts_markers_that_share_their_ids(options) -> None:
     said = suggest(drawn([4, 4, 6], inverted=bool(options)), "4X4_50", **options)
-    assert said == "2 markers of 4X4_50 share their ids and are left out; try --repeats"
+    assert said == "2 markers of 4X4_50 share their ids and are left out; try `repeats=True`"
 
 
 @pytest.mark.parametrize(
     ("there", "options", "said"),
     [
-        ({}, {}, "of another dictionary, and their ids repeat; try --dictionary 5X5_50 --repeats"),
-        ({}, {"repeats": True}, "of another dictionary; try --dictionary 5X5_50"),
+        ({}, {}, "of another dictionary, and their ids repeat; try `dictionary=5X5_50` `repeats=True`"),
+        ({}, {"repeats": True}, "of another dictionary; try `dictionary=5X5_50`"),
         (
             {},
             {"detector": "opencv"},
             "of another dictionary, and their ids repeat; "
-            "try --dictionary 5X5_50 --detector photometric --repeats",
+            "try `dictionary=5X5_50` `detector=photometric` `repeats=True`",
         ),
         (
             {},
             {"inverted": True},
             "black on white and of another dictionary, and their ids repeat; "
-            "try --dictionary 5X5_50 --repeats without --inverted",
+            "try `dictionary=5X5_50` `repeats=True` `inverted=False`",
         ),
         (
             {"dictionary": "5X5_50@2", "inverted": True},
             {},
             "white on black, drawn with a border of 2 cell(s) and of another dictionary, and their ids "
-            "repeat; try --inverted --border-bits 2 --dictionary 5X5_50 --repeats",
+            "repeat; try `inverted=True` `border_bits=2` `dictionary=5X5_50` `repeats=True`",
         ),
     ],
 )
@@ -144,14 +142,14 @@ def test_suggestion_names_repeats_with_other_options(there, options, said) -> No
 def test_mirrored_markers_that_share_ids_get_one_advice() -> None:
     image = np.ascontiguousarray(drawn([4, 4, 4])[:, ::-1])
     said = suggest(image, "4X4_50") or ""
-    assert "3 in its mirror image" in said and said.endswith("; its ids repeat: add --repeats")
+    assert "3 in its mirror image" in said and said.endswith("; its ids repeat: add `repeats=True`")
 
 
 def test_larger_dictionary_of_series_is_named_with_inversion() -> None:
     """The named dictionary reads one of three markers, so that its print alone would be half an answer."""
     image = drawn([4, 60, 70], dictionary="4X4_100", inverted=True)
     assert suggest(image, "4X4_50") == (
-        "its markers are white on black and of another dictionary; try --inverted --dictionary 4X4_100"
+        "its markers are white on black and of another dictionary; try `inverted=True` `dictionary=4X4_100`"
     )
 
 
@@ -242,7 +240,7 @@ def test_mirrored_markers_of_other_print_get_one_advice() -> None:
     image = np.ascontiguousarray(drawn(dictionary="6X6_50@2")[:, ::-1])
     assert suggest(image, "4X4_50") == (
         "its markers are mirrored, drawn with a border of 2 cell(s) and of another dictionary; "
-        "flip it left to right and try --border-bits 2 --dictionary 6X6_50"
+        "flip it left to right and try `border_bits=2` `dictionary=6X6_50`"
     )
 
 

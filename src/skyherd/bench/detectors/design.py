@@ -215,12 +215,12 @@ QUICK_VALUES: dict[str, tuple[float, ...]] = {
     "scaler": (1.5,),
     "consumer": (24.0,),
 }
-"""Values of the same sweeps for `--quick`."""
+"""Values of the same sweeps for `quick_design`."""
 
 SIDES_PX = (8, 10, 12, 14, 16, 18, 20, 24, 30, 40, 60, 80, 100)
 NOISES = (2.0, 5.0, 10.0)
 QUICK_SIDES_PX = (12, 16, 20, 30, 60)
-"""Marker sides, px, and noises, grey levels, of the grid; with `--quick` only the noise 5."""
+"""Marker sides, px, and noises, grey levels, of the grid; in `quick_design` only the noise 5."""
 
 GRID, EMPTY = "side x noise", "empty clutter"
 """Names of the series beside sweeps: the grid, and the images of clutter without a marker."""

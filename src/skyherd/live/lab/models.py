@@ -211,14 +211,14 @@ class LabRadio(Model):
             raise InputError(
                 "radio",
                 "reaches beyond this machine without TLS and client certificates",
-                "tls/ addresses with authority, certificate and key; or --insecure, and anyone on the "
+                "tls/ addresses with authority, certificate and key; or `insecure=True`, and anyone on the "
                 "network can drive the robots",
             )
         if self.has_certificates and self.plain_places:
             raise InputError(
                 "radio",
                 f"{self.plain_places[0]} is not protected by the certificates",
-                "tls/ addresses only in listen and connect; or no certificates; or --insecure",
+                "tls/ addresses only in listen and connect; or no certificates; or `insecure=True`",
             )
         if any((self.authority, self.certificate, self.key)) and not self.has_certificates:
             raise InputError(

@@ -68,7 +68,7 @@ class BridgeSettings:
             InputError: the address is invalid.
         """
         if self.to is not None:
-            return _split(self.to, "--to")
+            return _split(self.to, "to")
         if not self.camera.startswith(SCHEME):
             return Place(node=NODE), NAMESPACE
         source, _ = self.source()
@@ -86,7 +86,7 @@ class BridgeSettings:
         """
         if self.side_m is not None and self.calibration is None and not self.camera.startswith(SCHEME):
             raise InputError(
-                "--marker-side-m", "given without a calibration", "--camera FILE too, or a ros2:// camera"
+                "side_m", "given without a calibration", "`calibration=` too, or a ros2:// camera"
             )
 
 

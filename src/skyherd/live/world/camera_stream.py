@@ -48,7 +48,7 @@ class CameraStream:
         try:
             self._socket.bind(("127.0.0.1", port))
         except OSError as error:
-            raise InputError(f"port {port}", error.strerror or str(error), "a free port for --port") from None
+            raise InputError("port", f"{port}: {error.strerror or error}", "a free port") from None
         self.port = int(self._socket.getsockname()[1])
         self._socket.listen(1)
         self._socket.settimeout(0.2)

@@ -57,7 +57,7 @@ def check_format(kind: str) -> Format:
             elif known == "parquet":
                 parquet_opener()
             return known
-    raise InputError("--format", f"no format {kind!r}", one_of(kind, FORMATS))
+    raise InputError("kind", f"no format {kind!r}", one_of(kind, FORMATS))
 
 
 def export_run(

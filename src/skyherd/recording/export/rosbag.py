@@ -49,7 +49,7 @@ def require_rosbags() -> None:
     Raises:
         InputError: it is not.
     """
-    import_extra("rosbags.rosbag2", "rosbags", "--format rosbag2", "ros")
+    import_extra("rosbags.rosbag2", "rosbags", "kind: rosbag2", "ros")
 
 
 def write_rosbag(run: RecordedRun, folder: Path, progress: Progress) -> dict[str, int]:
@@ -100,7 +100,7 @@ class _Messages(RosMessages):
     """Maker of the messages of a run."""
 
     def __init__(self, run: RecordedRun) -> None:
-        super().__init__("--format rosbag2")
+        super().__init__("kind: rosbag2")
         self._run = run
         self._states: dict[int, str] = {}
 

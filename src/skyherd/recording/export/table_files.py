@@ -145,8 +145,8 @@ def parquet_opener() -> Opener:
     Raises:
         InputError: pyarrow is not installed.
     """
-    arrow = import_extra("pyarrow", "pyarrow", "--format parquet", "export")
-    parquet = import_extra("pyarrow.parquet", "pyarrow", "--format parquet", "export")
+    arrow = import_extra("pyarrow", "pyarrow", "kind: parquet", "export")
+    parquet = import_extra("pyarrow.parquet", "pyarrow", "kind: parquet", "export")
     types = {"int": arrow.int64(), "float": arrow.float64(), "text": arrow.string(), "bool": arrow.bool_()}
 
     @contextmanager

@@ -172,7 +172,7 @@ def make_sweeps(plan: Plan, table: pa.Table) -> list[Sweep]:
     exact = [row for row in rows if row[SWEEP] == REFERENCE and row["perception"] == IDEAL]
     if not exact:
         raise InputError(
-            plan.study.where, "the run of the reference failed", "see table.md; --retry repeats it"
+            plan.study.where, "the run of the reference failed", "see table.md; `retry=True` repeats it"
         )
     paths_m = exact[0][CURVE + "positions_m"]
     runs = {run.key: run for run in plan.runs}

@@ -68,7 +68,7 @@ def topology(
         OutputFile(picture, "topology", force=force).check()
     history, default, is_run = _open(source)
     path = picture or default
-    output = OutputFile(path, "topology", force=force or picture is None)
+    output = OutputFile(path, "topology", force=force)
     output.check()
     report = judge_topology(living_sets(history), history.shape)
     _say_graph(report, history)

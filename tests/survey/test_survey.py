@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from bags import raw, write_bag
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
@@ -318,3 +319,28 @@ def test_video_without_marker_is_one_error(survey, tmp_path) -> None:
             video.write(np.full((600, 800, 3), 128, np.uint8))
     code, said, _ = survey(path)
     assert code == 2 and said.err.count("\n") == 1 and "shows no marker of 4X4_50" in said.err
+
+
+def test_topic_of_a_recording_is_chosen_among_several(survey, tmp_path) -> None:
+    images = [
+        np.asarray(
+            Image.open(
+                take(tmp_path / f"{k}.png", POSES[k], ids, POSITIONS_M[ids], HEADINGS_RAD[ids], seed=k)
+            )
+        )
+        for k, ids in enumerate((np.array([0, 1, 2]), np.array([3, 4])))
+    ]
+    topics = ("/left/image_raw", "/right/image_raw")
+    bag = write_bag(
+        tmp_path / "bag", [(topic, raw(image, "mono8")) for topic, image in zip(topics, images, strict=True)]
+    )
+    code, said, _ = survey(bag)
+    assert code == 2 and "has 2 image topics; choose one with --topic: /left/image_raw, /right" in said.err
+    code, said, _ = survey(bag, "--topic", "/image")
+    assert code == 2 and said.err.startswith("error: --topic: ") and "one of /left/image_raw" in said.err
+    code, said, _ = survey(tmp_path / "0.png", "--topic", topics[0])
+    assert (code, said.err) == (2, "error: --topic: given without a rosbag2 recording; leave it out\n")
+    code, _, frame = survey(bag, tmp_path / "0.png", "--topic", topics[0])
+    assert code == 0 and [one["id"] for one in frame["markers"]] == [0, 1, 2]
+    code, _, frame = survey(bag, "--topic", topics[1], "--force")
+    assert code == 0 and [one["id"] for one in frame["markers"]] == [3, 4]

@@ -8,7 +8,7 @@ import typer
 
 from skyherd.cli.console import ProgressReporter, say, say_table, warn
 from skyherd.cli.interrupts import NOTHING_LEFT, telling_of_interrupts
-from skyherd.cli.options import BorderBits, Detector, Dictionary, ForceFolder, Inverted
+from skyherd.cli.options import BorderBits, Detector, Dictionary, ForceFolder, Inverted, Topic
 
 if TYPE_CHECKING:
     from skyherd.survey import Survey
@@ -66,6 +66,7 @@ def survey(
         int,
         typer.Option("--images", metavar="N", min=1, max=500, help="Take this many images of a recording."),
     ] = 20,
+    topic: Topic = None,
     dictionary: Dictionary = "4X4_50",
     detector: Detector = "photometric",
     out_dir: Annotated[
@@ -117,6 +118,7 @@ def survey(
             border_bits=border_bits,
             inverted=inverted,
             frames=frames,
+            topic=topic,
             fixed=members,
             progress=progress,
         )

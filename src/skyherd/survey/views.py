@@ -9,6 +9,7 @@ import numpy.typing as npt
 from skyherd.errors import InputError
 from skyherd.files.image_streams import is_stream, open_stream, read_stream
 from skyherd.files.images import read_grey
+from skyherd.files.rosbag_reader import is_bag
 from skyherd.inspection import output_name
 from skyherd.jobs.progress import NO_PROGRESS, Progress
 from skyherd.poses import Calibration, View, read_calibration
@@ -28,6 +29,7 @@ def take_views(
     border_bits: int = 1,
     inverted: bool = False,
     frames: int = FRAMES,
+    topic: str | None = None,
     fixed: Sequence[int] | None = None,
     progress: Progress = NO_PROGRESS,
 ) -> list[View]:
@@ -44,20 +46,23 @@ def take_views(
         border_bits: width of the markers' black border in cells.
         inverted: True for white markers on black.
         frames: number of images that are taken from a recording, at equal distances.
+        topic: topic of the images of rosbag2 recordings; None for their only one.
         fixed: markers of the frame; None if all are.
         progress: receives the number of pictures that are done.
 
     Raises:
-        InputError: a picture, recording or calibration cannot be read, their numbers or sizes differ, or one
-            shows no marker.
+        InputError: a picture, recording or calibration cannot be read, their numbers or sizes differ, one
+            shows no marker, or a topic is given without a rosbag2 recording.
     """
+    if topic is not None and not any(map(is_bag, pictures)):
+        raise InputError("topic", "given without a rosbag2 recording", "leave it out")
     read = _calibrations(calibrations, len(pictures))
     names = _names(pictures)
     views: list[View] = []
     for done, (picture, calibration, name) in enumerate(zip(pictures, read, names, strict=True)):
         progress.update("pictures", done, len(pictures))
         before = len(views)
-        for part, image in _images(picture, frames):
+        for part, image in _images(picture, frames, topic if is_bag(picture) else None):
             calibration.check_image(str(picture), (image.shape[1], image.shape[0]))
             found = create_detector(
                 detector, dictionary=dictionary, border_bits=border_bits, inverted=inverted
@@ -80,12 +85,12 @@ def take_views(
     return views
 
 
-def _images(path: Path, frames: int) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
+def _images(path: Path, frames: int, topic: str | None) -> Iterator[tuple[str, npt.NDArray[np.uint8]]]:
     """Yield the images of a file, grey, each with the end of its name: its time in a recording."""
     if not is_stream(path):
         yield "", read_grey(path)
         return
-    clip = open_stream(path)
+    clip = open_stream(path, topic)
     count = clip.count or sum(1 for _ in read_stream(clip))
     wanted = set(np.linspace(0, count - 1, frames).round().astype(int).tolist())
     for frame in read_stream(clip):

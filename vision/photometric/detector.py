@@ -146,6 +146,17 @@ class PhotometricDetector:
         state = state.learned(found, searches[1].plane, time_s)
         return _detections(found, state.ratios.factors(), image, time_s, unit_id)
 
+    def measured(self, image: Image, quads_px: Array) -> Detections:
+        """Return the markers among given dark quadrilaterals of an image, without a search and memory.
+
+        Args:
+            image: grey, (height, width), uint8.
+            quads_px: (N, 4, 2) corners, px, clockwise as seen, beginning with any of the four.
+        """
+        image, state = check_grey(image), CameraState()
+        found = self._measured(image, state, quads_px, self._none.homographies, clear=True).found
+        return _detections(self._joined(found, self._none), state.ratios.factors(), image, 0.0, 0)
+
     def _is_due(self, unsearched: int) -> bool:
         """Return whether the whole image is searched though all known markers were found.
 

@@ -94,30 +94,61 @@ class PrintEvidence(NamedTuple):
     log_evidence: float
 
 
-def rank_prints(image: Image, prints: Iterable[MarkerPrint]) -> list[PrintEvidence]:
-    """Return the evidence for the likeliest dictionary of each print and size of code, in descending order.
-
-    A mirrored print is left out where the same print as it is explains the squares as well.
+class PrintSearch:
+    """One search of an image for dark squares, and one of its negative for light ones, for all prints.
 
     Args:
         image: grey, (height, width).
         prints: to consider.
     """
-    prints, ranked = list(prints), list[PrintEvidence]()
-    for inverted in sorted({kind.inverted for kind in prints}):
-        seen = np.asarray(cv2.bitwise_not(image), dtype=np.uint8) if inverted else image
-        quads = np.concatenate([find_quads(seen), find_small_quads(seen, np.zeros((0, 4, 2)))])
-        if not len(quads):
-            continue
-        for border_bits in sorted({kind.border_bits for kind in prints if kind.inverted == inverted}):
-            kinds = [kind for kind in prints if kind[:2] == (border_bits, inverted)]
+
+    def __init__(self, image: Image, prints: Iterable[MarkerPrint]) -> None:
+        self._prints, self._seen = list(prints), dict[bool, tuple[Image, Array]]()
+        for inverted in sorted({kind.inverted for kind in self._prints}):
+            seen = np.asarray(cv2.bitwise_not(image), dtype=np.uint8) if inverted else image
+            quads = np.concatenate([find_quads(seen), find_small_quads(seen, np.zeros((0, 4, 2)))])
+            self._seen[inverted] = seen, quads
+
+    def ranked(self) -> list[PrintEvidence]:
+        """Return the evidence for the likeliest dictionary of each print and size of code, descending.
+
+        A mirrored print is left out where the same print as it is explains the squares as well.
+        """
+        ranked = list[PrintEvidence]()
+        for border_bits, inverted in sorted({kind[:2] for kind in self._prints}, key=lambda two: two[::-1]):
+            kinds = [kind for kind in self._prints if kind[:2] == (border_bits, inverted)]
             for cells in _series_by_size():
-                squares = _read_squares(seen, quads, cells, border_bits)
+                squares = _read_squares(*self._seen[inverted], cells, border_bits)
                 if len(squares.bits):
                     given = [_best_of_size(squares, cells, kind) for kind in kinds]
                     plain = max((one[2] for one in given if not one.kind.mirrored), default=-np.inf)
                     ranked += [one for one in given if not one.kind.mirrored or one.log_evidence > plain]
-    return sorted(ranked, key=lambda evidence: -evidence.log_evidence)
+        return sorted(ranked, key=lambda evidence: -evidence.log_evidence)
+
+    def likely_squares(self, there: PrintEvidence) -> tuple[Image, Array]:
+        """Return the image in which markers of a print are black, and the squares likely to be these.
+
+        Args:
+            there: a print with evidence.
+
+        Returns:
+            The image or its negative, flipped if the print is mirrored, and the corners (N, 4, 2), px, of
+            squares in it that are likelier markers than chance, clockwise.
+        """
+        seen, quads = self._seen[there.kind.inverted]
+        cells = int(load_dictionary(there.dictionary).markerSize)
+        squares = _read_squares(seen, quads, cells, there.kind.border_bits)
+        codes = _codes(there.dictionary, mirrored=there.kind.mirrored)
+        ratios = squares.log_ratios((squares.bits @ codes.T).max(axis=1), len(codes))
+        likely = squares.corners_px[ratios > 0]
+        if not there.kind.mirrored:
+            return seen, likely
+        return np.ascontiguousarray(seen[:, ::-1]), _flipped(likely, seen.shape[1])
+
+
+def _flipped(quads_px: Array, width: int) -> Array:
+    """Return the corners (N, 4, 2), px, in an image of a width that is flipped left to right, clockwise."""
+    return quads_px[:, ::-1] * (-1.0, 1.0) + (width - 1.0, 0.0)
 
 
 def larger_of_series(dictionary: str) -> tuple[str, ...]:
@@ -133,12 +164,27 @@ class _Squares:
     """Bits of N squares with a dark border.
 
     Attributes:
-        bits: (N, B) 1 where a cell is white, -1 where it is black, row by row from corner 0.
+        bits: (M, B) different readings: 1 where a cell is white, -1 where it is black, row by row from
+            corner 0.
+        readings: (N,) row of each square's bits.
         places: (N,) number of each square's place, from 0; squares that overlap share a place.
+        corners_px: (N, 4, 2) of the squares, clockwise.
     """
 
     bits: npt.NDArray[np.float32]
+    readings: IntArray
     places: IntArray
+    corners_px: Array
+
+    def log_ratios(self, agreement: Array, codes: int) -> Array:
+        """Return the log likelihood ratios (N,) of the squares as markers to bits by chance.
+
+        Args:
+            agreement: (M,) greatest inner product of each reading with a code.
+            codes: number of codes, in all turns.
+        """
+        bits = self.bits.shape[1]
+        return _log_ratios((bits - agreement) / 2, bits, codes)[self.readings]
 
 
 def _read_squares(image: Image, quads_px: Array, cells: int, border_bits: int) -> _Squares:
@@ -152,7 +198,8 @@ def _read_squares(image: Image, quads_px: Array, cells: int, border_bits: int) -
     middle = np.asarray(black + white)[:, None] / 2
     dark = ((outer > middle).mean(axis=1) <= MAX_WRONG_BORDER) & (levels.std(axis=1) >= MIN_CELL_DEVIATION)
     bits = np.where(inner[dark] > middle[dark], 1, -1).astype(np.float32)
-    return _Squares(bits, _places(quads_px[dark]))
+    different, readings = np.unique(bits, axis=0, return_inverse=True)
+    return _Squares(different, readings.ravel(), _places(quads_px[dark]), quads_px[dark])
 
 
 def _places(quads_px: Array) -> IntArray:
@@ -177,12 +224,12 @@ def _of_series(squares: _Squares, names: tuple[str, ...], kind: MarkerPrint) -> 
     count = dictionary_size(names[-1])
     codes = _codes(names[-1], mirrored=kind.mirrored)
     agreement = (squares.bits @ codes.T).reshape(len(squares.bits), 4, count)
-    best = []
+    best, greatest, compared = [], np.full(len(squares.bits), -np.inf), 0
     for name in names:
         size = dictionary_size(name)
-        rows = agreement[:, :, :size].reshape(len(squares.bits), -1)
-        wrong = (squares.bits.shape[1] - rows.max(axis=1)) / 2
-        ratios = _log_ratios(wrong, squares.bits.shape[1], 4 * size)
+        greatest = np.maximum(greatest, agreement[:, :, compared:size].max(axis=2).max(axis=1))
+        compared = size
+        ratios = squares.log_ratios(greatest, 4 * size)
         best.append(PrintEvidence(name, kind, _log_evidence(ratios, squares.places)))
     return max(best, key=lambda evidence: evidence.log_evidence)
 

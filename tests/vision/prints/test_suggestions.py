@@ -8,15 +8,16 @@ import pytest
 from skyherd.errors import InputError
 from skyherd.markers.dictionary import marker_cells, with_border
 from skyherd.vision import create_detector
+from skyherd.vision.photometric.detector import PhotometricDetector
 from skyherd.vision.prints import suggestions
 from skyherd.vision.prints.print_evidence import (
     ALL_PRINTS,
     MarkerPrint,
     PrintEvidence,
+    PrintSearch,
     _log_evidence,
     _log_ratios,
     _read_squares,
-    rank_prints,
 )
 from skyherd.vision.prints.suggestions import _likely, find_dictionary, suggest
 
@@ -189,7 +190,7 @@ def test_find_dictionary_reads_noisy_markers_of_every_border(border_bits, seed) 
 def test_find_dictionary_counts_the_few_ids_of_a_larger_one() -> None:
     """One id of 21 is beyond 4X4_50. The evidence prefers it for half as many codes."""
     image = drawn([*range(20), 60], dictionary="4X4_100")
-    assert rank_prints(image, [MarkerPrint()])[0].dictionary == "4X4_50"
+    assert PrintSearch(image, [MarkerPrint()]).ranked()[0].dictionary == "4X4_50"
     assert find_dictionary(image) == "4X4_100"
 
 
@@ -201,10 +202,31 @@ def test_smaller_dictionary_of_the_same_markers_is_not_advised() -> None:
 def test_print_with_less_evidence_than_given_is_not_tried(monkeypatch) -> None:
     tried = []
     counted = suggestions.MarkerCount(1, 0)
-    monkeypatch.setattr(suggestions, "_count", lambda image, there: tried.append(there[:2]) or counted)
+    for name in ("_count", "_confirm"):
+        monkeypatch.setattr(suggestions, name, lambda image, there: tried.append(there[:2]) or counted)
     image = drawn()
-    assert len(rank_prints(image, ALL_PRINTS)) > 1
+    assert len(PrintSearch(image, ALL_PRINTS).ranked()) > 1
     assert suggest(image, "4X4_50") is None and tried == [("4X4_50", MarkerPrint())]
+
+
+@pytest.mark.parametrize("dictionary", ["5X5_50", "5X5_50@2"])
+def test_whole_image_is_searched_once_for_a_suggestion(dictionary, monkeypatch) -> None:
+    """Other prints are confirmed at the squares of the evidence: a search takes seconds on large pictures."""
+    searched, count = [], suggestions._count
+    monkeypatch.setattr(
+        suggestions, "_count", lambda image, there: searched.append(there.dictionary) or count(image, there)
+    )
+    assert suggest(drawn(dictionary=dictionary), "4X4_50") is not None
+    assert searched == ["4X4_50"]
+
+
+@pytest.mark.parametrize("kind", ALL_PRINTS, ids=str)
+def test_markers_of_each_print_are_measured_at_its_squares(kind) -> None:
+    image = drawn(dictionary=with_border("5X5_50", kind.border_bits), inverted=kind.inverted)
+    image = np.ascontiguousarray(image[:, ::-1]) if kind.mirrored else image
+    seen, squares_px = PrintSearch(image, ALL_PRINTS).likely_squares(PrintEvidence("5X5_50", kind, 0.0))
+    detector = PhotometricDetector(with_border("5X5_50", kind.border_bits), following=False)
+    assert detector.measured(seen, squares_px).ids.tolist() == IDS
 
 
 def test_each_difference_of_a_print_needs_ten_times_the_evidence() -> None:
@@ -270,7 +292,7 @@ def test_squares_of_one_place_count_once() -> None:
 
 
 def test_blank_image_has_no_evidence() -> None:
-    assert rank_prints(np.full((120, 160), 140, np.uint8), ALL_PRINTS) == []
+    assert PrintSearch(np.full((120, 160), 140, np.uint8), ALL_PRINTS).ranked() == []
 
 
 def test_nothing_is_suggested_for_an_image_of_nothing() -> None:

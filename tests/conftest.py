@@ -310,6 +310,20 @@ OVERFLOWING = """() => {
 }"""
 
 
+UNCOMFORTABLE = """least => {
+  const texts = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), found = [];
+  while (texts.nextNode()) {
+    const e = texts.currentNode.parentElement;
+    if (texts.currentNode.data.trim() && e.checkVisibility() && parseFloat(getComputedStyle(e).fontSize) < 14)
+      found.push("text " + texts.currentNode.data.trim().slice(0, 40));
+  }
+  for (const e of document.querySelectorAll("button, summary, input, [role=tab]"))
+    if (e.checkVisibility() && e.offsetHeight && e.offsetHeight < least)
+      found.push(e.outerHTML.slice(0, 80) + " " + e.offsetHeight);
+  return found;
+}"""
+
+
 def missing(what: str) -> None:
     """Skip without a browser, or fail where one is required."""
     reason = f"{what} is not installed"
@@ -341,6 +355,17 @@ def assert_nothing_overflows() -> Callable[[Any], None]:
     def check(window: Any) -> None:
         assert window.evaluate("document.documentElement.scrollWidth <= innerWidth")
         assert window.evaluate(OVERFLOWING) == []
+
+    return check
+
+
+@pytest.fixture(scope="session")
+def assert_comfortable(assert_nothing_overflows) -> Callable[..., None]:
+    """Assert that a page does not overflow, has text of at least 14 px, and controls of a least height."""
+
+    def check(window: Any, control_px: int = 44) -> None:
+        assert_nothing_overflows(window)
+        assert window.evaluate(UNCOMFORTABLE, control_px) == []
 
     return check
 

@@ -185,6 +185,25 @@ class TestBrowser:
             assert widths[0] <= widths[1]
 
     @pytest.mark.slow
+    @pytest.mark.parametrize(("size_px", "control_px"), [((390, 844), 44), ((1280, 800), 24)])
+    def test_page_is_comfortable_in_every_tab(
+        self, open_page, gl_browser, assert_comfortable, size_px, control_px
+    ):
+        """On a desktop, arrows beside numbers are lower. Notices of software rendering are viser's."""
+        with open_page() as page, gl_browser(page.access.url, *size_px) as window:
+            for tab in ("Run", "Cameras", "Team"):
+                window.get_by_role("tab", name=tab).click()
+                window.add_style_tag(content=".mantine-NumberInput-controls { display: none; }")
+                window.wait_for_timeout(300)
+                assert_comfortable(window, control_px)
+            panel = window.get_by_role("tab", name="Run").locator(
+                "xpath=ancestor::*[contains(@class, 'Paper')]"
+            )
+            box = panel.first.bounding_box()
+            if size_px[0] == 390:
+                assert box["width"] == 390 and box["height"] <= 0.5 * size_px[1] + 1
+
+    @pytest.mark.slow
     def test_zoom_slider_changes_the_zoom_and_the_shape_is_reached(self, open_page, gl_browser):
         with open_page(speed=4.0) as page, gl_browser(page.access.url) as window:
             session = page.session

@@ -21,6 +21,9 @@ ROTATION_GRID = 2.0**-12
 PHONE_PX = 576
 """Width of a window below which viser puts the panel at its bottom, px. Defined by viser."""
 
+PANEL_SHARE = 0.5
+"""Share of the height of a phone's window that the panel covers. Chosen: as much as the scene."""
+
 Wxyz = tuple[float, float, float, float]
 Place = tuple[float, float, float]
 
@@ -73,10 +76,10 @@ class Window:
 
     @classmethod
     def of(cls, width_px: int, height_px: int) -> "Window":
-        """Return the free part of a window, beside viser's panel of 335 px or above that of 60 % height."""
+        """Return the free part of a window, beside viser's panel of 335 px, or above that of a phone."""
         aspect = width_px / height_px
         if width_px <= PHONE_PX:
-            return cls(aspect, (-0.92, 0.92), (0.24, 0.92))
+            return cls(aspect, (-0.92, 0.92), (2 * PANEL_SHARE - 1 + 0.04, 0.92))
         return cls(aspect, (-0.95, 1 - 2 * 350 / width_px), (-0.92, 0.92))
 
 

@@ -15,6 +15,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from skyherd.play.messages import MAX_BYTES, MessageFilter
+from skyherd.play.page_style import add_style
 from skyherd.play.poses import Place
 from skyherd.report.access import Access
 
@@ -52,6 +53,7 @@ def start_server(access: Access, listener: socket, allowed: MessageFilter) -> vi
         server = viser.ViserServer(host=access.host, port=access.port, label="skyherd", verbose=False)
     # The relay makes a page public. Without the button and the handler nothing asks for it.
     server.gui.configure_theme(show_share_button=False, show_logo=False)
+    add_style(server)
     return server
 
 

@@ -217,6 +217,16 @@ class TestBrowser:
                 act()
             assert answer.value.status == 202 and cockpit.stop_asked()
 
+    @pytest.mark.parametrize("width", [390, 1280])
+    def test_page_is_comfortable_on_a_phone_and_a_desktop(self, opened, width, assert_comfortable) -> None:
+        _, page, _ = opened
+        page.set_viewport_size({"width": width, "height": 844})
+        assert_comfortable(page)
+        picture = page.locator("#units figure").first.bounding_box()
+        assert picture["width"] == (390 if width == 390 else pytest.approx(360, abs=40))
+        right = page.evaluate("document.querySelector('#robots td:last-child').getBoundingClientRect().right")
+        assert right <= width, "without scrolling"
+
     def test_names_are_text_and_the_page_fits_a_phone(self, opened) -> None:
         _, page, evil = opened
         assert evil in page.locator("#robots").inner_text() and evil in page.locator("#lines").inner_text()

@@ -124,6 +124,20 @@ def test_verdict_names_small_markers() -> None:
     assert "the markers are too small: 2 px wide" in said
 
 
+@pytest.mark.parametrize(("height_m", "given"), [(95, True), (17, False)])
+def test_verdict_names_a_unit_that_is_too_high_to_see_markers(height_m, given) -> None:
+    """The other units detect enough markers; the unit has 16 robots of 3.7 px inside its safety radius."""
+    settings = ["duration_s=1", f"units.2.height_m={height_m}", HOVER]
+    said = explain_outcome(history_of("star", *settings, perception="rendered"))
+    assert ("unit 2 flies too high to control a robot: markers 3.7 px wide are too small" in said) == given
+    assert ("fly at 29.6 m or lower, zoom in, or enlarge marker.side_m (12 px are needed)" in said) == given
+
+
+def test_exact_detections_of_small_markers_are_no_cause() -> None:
+    said = explain_outcome(history_of("star", "duration_s=1", "units.2.height_m=95", HOVER))
+    assert "too high" not in said
+
+
 def rendered_by(dictionary: str, shift: int = 0) -> str:
     """Return the verdict on a run whose detector reads another dictionary, or whose ids are shifted."""
     mission = load_mission("triangle", ["duration_s=0.2"])

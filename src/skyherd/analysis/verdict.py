@@ -88,8 +88,8 @@ def _cause(history: History) -> str:
     """Return the first cause that applies, from what a unit sees to the motion of the robots."""
     causes: list[Callable[[History], str | None]] = []
     if history.mission.scenario.control.method == "similarity":
-        causes = [_unseen, _undetected, _suspected, _out_of_range, _uncontrolled, _unshared]
-        causes += [_uncovered, _stale]
+        causes = [_unseen, _undetected, _suspected, _out_of_range, _too_high, _uncontrolled]
+        causes += [_unshared, _uncovered, _stale]
     causes += [_saturated, _falling, _changed, _brief, _resting, _bent]
     return next(filter(None, (cause(history) for cause in causes)), "the error no longer falls")
 
@@ -138,7 +138,8 @@ def _undetected(history: History) -> str | None:
     side_px = _usual_side_px(history)
     if side_px < MIN_MARKER_PX:
         few = f"the markers are too small: {side_px:.0f} px wide in the images, so that {share}"
-        return f"{few}; fly lower, or enlarge marker.side_m to {MIN_MARKER_PX:.0f} px"
+        advice = f"fly lower, zoom in, or enlarge marker.side_m ({MIN_MARKER_PX:.0f} px are needed)"
+        return f"{few}; {advice}"
     return (
         f"{share}, though they are {side_px:.0f} px wide; "
         f"their dictionary may not be {marker.dictionary} (marker.dictionary)"
@@ -154,11 +155,39 @@ def _suspected(history: History) -> str | None:
 
 
 def _usual_side_px(history: History) -> float:
-    """Return the median side of the markers in view, px, at `LOOKS` instants."""
-    rows = np.linspace(0, len(history.times_s) - 1, LOOKS).astype(int).tolist()
-    sides_px = np.concatenate([views_at(history, row).sides_px.ravel() for row in rows])
+    """Return the median side of the markers in view of any unit, px, at `LOOKS` instants."""
+    sides_px = _sides_px(history, np.ones(history.times_s.size, dtype=bool))
     seen = sides_px[np.isfinite(sides_px)]
     return float(np.median(seen)) if seen.size else 0.0
+
+
+def _usual_sides_px(history: History, part: BoolArray) -> Array:
+    """Return the median side (U,) of the markers in view of each unit, px; infinite without any in view."""
+    seen = [one[np.isfinite(one)] for one in _sides_px(history, part).swapaxes(0, 1)]
+    return np.array([np.median(one) if one.size else np.inf for one in seen])
+
+
+def _sides_px(history: History, part: BoolArray) -> Array:
+    """Return the sides (`LOOKS`, U, N) of the markers in view, px, in a part (T,) of a run; NaN elsewhere."""
+    steps = np.flatnonzero(part)
+    rows = steps[np.linspace(0, steps.size - 1, LOOKS).astype(int)].tolist()
+    return np.stack([views_at(history, row).sides_px for row in rows])
+
+
+def _too_high(history: History) -> str | None:
+    """Name the units that controlled no robot near the end, as their markers are too small to be detected."""
+    if history.mission.scenario.perception == "ideal":
+        return None
+    sides_px = _usual_sides_px(history, _last_part(history.times_s))
+    idle: BoolArray = np.logical_not(history.controlled[_last_part(history.times_s)].any(axis=(0, 2)))
+    units = [unit for unit in _alive(history) if idle[unit] and sides_px[unit] < MIN_MARKER_PX]
+    if not units:
+        return None
+    needed_m = (history.heights_m[-1, units] * sides_px[units] / MIN_MARKER_PX).min()
+    fly = f"unit {units[0]} flies" if len(units) == 1 else f"units {_named(units)} fly"
+    small = f"markers {sides_px[units].max():.2g} px wide are too small to be detected"
+    advice = f"fly at {needed_m:.3g} m or lower, zoom in, or enlarge marker.side_m"
+    return f"{fly} too high to control a robot: {small}; {advice} ({MIN_MARKER_PX:.0f} px are needed)"
 
 
 def _out_of_range(history: History) -> str | None:

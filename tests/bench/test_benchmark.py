@@ -496,8 +496,8 @@ def test_command_writes_its_files(tmp_path, monkeypatch, capfd):
         (("--detectors", "opencv,opencv"), "opencv named twice"),
         (("--detectors", "nowhere:make"), "No module named 'nowhere'"),
         (("--dictionary", "5Y5"), "no dictionary '5Y5'"),
-        (("--jobs", 0), "1 or more"),
-        (("--clutter-images", -1), "0 or more"),
+        (("--jobs", 0), "a whole number from 1"),
+        (("--clutter-images", -1), "a whole number from 0"),
     ],
 )
 def test_bad_input_gives_one_line_and_exit_code_2(arguments, words, tmp_path, capfd):

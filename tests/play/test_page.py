@@ -190,7 +190,8 @@ class TestBrowser:
         self, open_page, gl_browser, assert_comfortable, size_px, control_px
     ):
         """On a desktop, arrows beside numbers are lower. Notices of software rendering are viser's."""
-        with open_page() as page, gl_browser(page.access.url, *size_px) as window:
+        with open_page(speed=1.0) as page, gl_browser(page.access.url, *size_px) as window:
+            window.get_by_role("button", name="Pause (P)").click()
             for tab in ("Run", "Cameras", "Team"):
                 window.get_by_role("tab", name=tab).click()
                 window.add_style_tag(content=".mantine-NumberInput-controls { display: none; }")

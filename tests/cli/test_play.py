@@ -22,7 +22,7 @@ def test_taken_port_is_one_line(capsys):
     with bind("127.0.0.1", 0) as listener:
         port = listener.getsockname()[1]
         refused = call(capsys, "play", "star", "--port", port)
-    assert_refused(refused, f"--port {port}", "another --port")
+    assert_refused(refused, f"--port: {port}: ", "another --port")
 
 
 def test_missing_viser_is_one_line(capsys, monkeypatch):

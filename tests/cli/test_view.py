@@ -60,7 +60,7 @@ def test_invalid_input_is_one_line(here, capsys, arguments, said):
 def test_taken_port_is_one_line(here, capsys):
     with bind("127.0.0.1", 0) as listener:
         port = listener.getsockname()[1]
-        assert_refused(call(capsys, "view", "run", "--port", port), f"--port {port}", "another --port")
+        assert_refused(call(capsys, "view", "run", "--port", port), f"--port: {port}: ", "another --port")
 
 
 def test_missing_viser_is_one_line(here, capsys, monkeypatch):

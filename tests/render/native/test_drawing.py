@@ -45,9 +45,9 @@ VIEWS = {
 }
 
 
-def view_of(name):
+def view_of(name, size_px=SIZE_PX):
     lens, tilt, rolling = VIEWS[name]
-    camera = Camera(SIZE_PX, focal_px=170.0, **lens)
+    camera = Camera(size_px, focal_px=0.74 * size_px[0], **lens)
     pose = CameraPose((0.1, -0.2), 6.0, 0.4, (tilt, -tilt / 2))
     if not rolling:
         return View(camera, pose)
@@ -97,15 +97,15 @@ def paired(samples):
 
 
 @pytest.mark.parametrize("name", VIEWS)
-@pytest.mark.parametrize("metre_samples", [20.0, 60.0])
-def test_ground_equals_formula_to_rounding(name, metre_samples):
+@pytest.mark.parametrize(("size_px", "metre_samples"), [(SIZE_PX, 20.0), (SIZE_PX, 60.0), ((1100, 30), 60.0)])
+def test_ground_equals_formula_to_rounding(name, size_px, metre_samples):
     """The bound is half a level, and the slope times 1/512 (weights) and 0.004 (interpolated places)."""
-    slope, images = 8, view_of(name).ground()
+    slope, images = 8, view_of(name, size_px).ground()
     samples = periodic(slope)
     scale = np.diag([metre_samples, metre_samples, 1.0])
     matrices = scale @ np.linalg.inv(images.matrices[:, 0])
-    found = library().draw_ground(SIZE_PX, images.frame(), matrices, paired(samples))
-    expected = sampled_ground(samples, SIZE_PX, images.frame(), matrices)
+    found = library().draw_ground(size_px, images.frame(), matrices, paired(samples))
+    expected = sampled_ground(samples, size_px, images.frame(), matrices)
     off = np.abs(found - expected)
     assert expected.std() > 10
     assert off.max() <= 0.5 + 2 * slope * (1 / 512 + 0.004)

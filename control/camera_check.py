@@ -28,7 +28,7 @@ from skyherd.control.avoidance.speed_bound import AvoidanceRule
 from skyherd.control.formation.similarity import fit_similarity
 from skyherd.control.robots.unicycle import RobotLaw
 from skyherd.errors import DegenerateSetError
-from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_complex
+from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, median, to_complex
 from skyherd.messages import Detections, MotionGoals, Proximity, UnitReport, among, find_rows
 from skyherd.messages.checks import check_numbers
 
@@ -158,13 +158,13 @@ class _View:
         if both.size <= 2:
             moved[both] = np.abs(target - source)
         else:
-            residuals = _residuals(source, target, np.ones(both.size, dtype=bool))
+            residuals = _residuals(source, target, slice(None))
             keep = residuals <= np.sort(residuals)[-1 - both.size // 4]
             moved[both] = _residuals(source, target, keep)
         return np.asarray(moved / self.side_px)
 
 
-def _residuals(source: ComplexArray, target: ComplexArray, keep: BoolArray) -> Array:
+def _residuals(source: ComplexArray, target: ComplexArray, keep: BoolArray | slice) -> Array:
     """Return distances (N,) of targets (N,) from sources (N,) under the similarity of those in `keep`."""
     try:
         return np.abs(target - fit_similarity(source[keep], target[keep])(source))
@@ -189,7 +189,7 @@ class CameraCheck:
         self._last: _View | None = None
         self._still: _View | None = None
         self._trial: _View | None = None
-        self._others: dict[int, UnitReport] = {}
+        self._others: dict[int, _View] = {}
         self._paces: deque[tuple[float, Array]] = deque()
         self._idle = np.zeros(ids.size, dtype=bool)
         self._frozen: _View | None = None
@@ -262,7 +262,7 @@ class CameraCheck:
         points_px, seen = np.zeros(self._ids.size, dtype=np.complex128), np.zeros(self._ids.size, dtype=bool)
         points_px[rows[known]] = to_complex(detections.centers_px[known])
         seen[rows[known]] = True
-        return _View(detections.time_s, points_px, seen, float(np.median(detections.sides_px[known])))
+        return _View(detections.time_s, points_px, seen, median(detections.sides_px[known]))
 
     def _shared(self, reports: Sequence[UnitReport]) -> BoolArray:
         """Return the mask (N,) of the robots that other units control."""
@@ -315,19 +315,19 @@ class CameraCheck:
 
     def _moves_for(self, report: UnitReport, view: _View, still: _View) -> bool:
         """Return whether another unit saw robots of this image move relative to each other while it stood."""
-        first = self._others.setdefault(report.unit_id, report)
+        theirs = self._reported(report)
+        first = self._others.setdefault(report.unit_id, theirs)
         if first.time_s < still.time_s:
-            self._others[report.unit_id] = report
+            self._others[report.unit_id] = theirs
             return False
-        theirs, ours = self._reported(report), self._reported(first)
-        common = theirs.seen & ours.seen & view.seen
+        common = theirs.seen & first.seen & view.seen
         if np.count_nonzero(common) <= 2:
             return False
         try:
-            scale = fit_similarity(ours.points_px[common], view.points_px[common]).scale
+            scale = fit_similarity(first.points_px[common], view.points_px[common]).scale
         except DegenerateSetError:
             return False
-        moved = np.sort(theirs.relative_sides(ours, common)) * scale / view.side_px
+        moved = np.sort(theirs.relative_sides(first, common)) * scale / view.side_px
         return bool(moved[-2] >= MOVED_SIDES)
 
     def _reported(self, report: UnitReport) -> _View:

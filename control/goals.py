@@ -103,5 +103,5 @@ def _nearest_mask(distances: Array, nearest: int) -> BoolArray:
     count = min(nearest + 1, distances.shape[1])
     order = np.argpartition(distances, count - 1, axis=1)[:, :count]
     mask = np.zeros(distances.shape, dtype=bool)
-    np.put_along_axis(mask, order, True, axis=1)
+    mask[np.arange(len(order))[:, None], order] = True
     return mask

@@ -58,7 +58,7 @@ class AmbiguousIds:
             detections: all markers of the image, on the unit's own clock.
         """
         now_s = detections.time_s
-        for marker in np.unique(detections.ids[detections.repeated]).tolist():
+        for marker in sorted(detections.repeated_ids):
             self._repeated_s[marker] = now_s
         self._repeated_s = {
             marker: last_s for marker, last_s in self._repeated_s.items() if now_s - last_s <= AMBIGUOUS_S
@@ -196,7 +196,7 @@ class Copies:
         Args:
             detections: all markers of the image.
         """
-        repeated = set(detections.ids[detections.repeated].tolist())
+        repeated = detections.repeated_ids
         last, self._before = self._before, detections
         if last is None or not (repeated or self._places):
             return detections

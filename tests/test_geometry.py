@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from skyherd.geometry import ROBOT_FRAME_CORNERS, SQUARE_CORNERS, UNIFORM_VARIANCE, fit_squares, to_points
+from skyherd.geometry import (
+    ROBOT_FRAME_CORNERS,
+    SQUARE_CORNERS,
+    UNIFORM_VARIANCE,
+    fit_squares,
+    median,
+    to_points,
+)
 
 EXACT = 1e-12
 """Chosen: a few hundred roundings of numbers of order one."""
@@ -46,3 +53,9 @@ def test_rounding_variance_equals_uniform_distribution() -> None:
     """The mean of x² over 10⁵ midpoints of [-1/2, 1/2]; midpoints are short of it by a share of 1e-10."""
     x = (np.arange(100_000) + 0.5) / 100_000 - 0.5
     assert np.mean(x**2) == pytest.approx(UNIFORM_VARIANCE, rel=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 16])
+def test_median_of_a_few_equals_that_of_numpy(count: int) -> None:
+    values = np.random.default_rng(count).normal(size=count)
+    assert median(values) == np.median(values)

@@ -78,7 +78,7 @@ def proximity(
     check_vectors("proximity", team_ids=team_ids)
     team = frozenset(team_ids.tolist())
     known = team | rule.obstacles.keys()
-    ambiguous = ambiguous | set(detections.ids[detections.repeated].tolist())
+    ambiguous = ambiguous | detections.repeated_ids
     pairs = _pairs_of_bodies(detections, team, known - ambiguous, rule)
     if hidden is not None:
         at_border = _pairs_with_border(detections, ambiguous, hidden, rule)

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from skyherd.control.policy import NO_ROBOTS, FlightLaw, FlightTask
-from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import Detections, FlightCommand, UnitReport, among, centred
 from skyherd.messages.checks import check_numbers
@@ -77,40 +76,40 @@ class Follow(FlightLaw):
                 self._responsible_for = np.setdiff1d(
                     self._responsible_for, _nearer_there(shared, self._start, seen.unit_id, report)
                 )
-        robots = np.union1d(self._robots_to_keep(seen, controlled, reports), task.sought_ids)
-        keep = among(seen.ids, robots)
+        kept = self._robots_to_keep(seen, controlled, reports)
+        keep = among(seen.ids, kept.union(task.sought_ids.tolist()))
         if not keep.any():
             return FlightCommand.hold(seen.unit_id)
         points = centred(seen.centers_px, seen.image_size_px)[keep]
-        excess = float(np.linalg.norm(points, axis=1).max()) - self.desired_radius
-        climb = excess - np.clip(excess, -self.dead_band, self.dead_band)
+        excess = float(seen.centre_distances[keep].max()) - self.desired_radius
+        climb = excess - min(max(excess, -self.dead_band), self.dead_band)
         return FlightCommand(
             seen.unit_id,
             self.lateral_gain_mps * points.mean(axis=0) + task.drift_mps,
-            climb_mps=float(self.climb_gain_mps * climb),
+            climb_mps=self.climb_gain_mps * climb,
             yaw_rate_radps=0.0,
         )
 
     def _robots_to_keep(
         self, seen: Detections, controlled: IntArray, reports: Sequence[UnitReport]
-    ) -> IntArray:
+    ) -> set[int]:
         """Return the robots for which this unit is responsible, and two in common with each neighbour."""
         ours = set(controlled.tolist())
         theirs = [report.controlled for report in reports]
         keep = set(self._responsible_for.tolist()) | ours.difference(*theirs)
-        nearest_first = seen.ids[np.argsort(centre_distances(seen))].tolist()
+        nearest_first = seen.ids[np.argsort(seen.centre_distances)].tolist()
         for report, members in zip(reports, theirs, strict=True):
             if self._neighbors.get(report.unit_id, False):
                 common = ours & members
                 if len(common) < 2:
                     common = set(report.ids.tolist())
                 keep.update([robot for robot in nearest_first if robot in common][:2])
-        return np.array(sorted(keep), dtype=np.int64)
+        return keep
 
 
 def _distances(seen: Detections | UnitReport) -> dict[int, float]:
     """Return the distance from the image centre of each robot seen."""
-    return dict(zip(seen.ids.tolist(), centre_distances(seen).tolist(), strict=True))
+    return dict(zip(seen.ids.tolist(), seen.centre_distances.tolist(), strict=True))
 
 
 def _nearer_there(shared: IntArray, start: dict[int, float], unit_id: int, report: UnitReport) -> IntArray:

@@ -31,6 +31,9 @@ PRIOR: Array = np.array([0.1, 0.1, 0.2, 0.03, 0.03, 0.15, 0.15, 1.0, 0.2, 0.2])
 """Standard deviations (10,) of the unknowns over all cameras, in the order of `ground_map`. Chosen: they
 include fisheyes, and tilts of 16 degrees at the usual focal length (|λ| = tan(tilt) / f)."""
 
+CAMERA_PRIOR, TILT_PRIOR = (Information.prior(part) for part in (PRIOR[:CAMERA], PRIOR[CAMERA:]))
+"""Information of `PRIOR` on the camera's unknowns (8,) and on the tilt of one image (2,)."""
+
 GROUPS = {
     "anisotropy": ANISOTROPY,
     "tilt": [*PERSPECTIVE, *FOCAL],
@@ -190,16 +193,18 @@ def fit_ground(
         noises: statistics of the previous images.
         trusted: indices of the unknowns that may be freed if they are significant.
     """
-    before = camera.joined(Information.prior(PRIOR[CAMERA:]))
+    before = camera.joined(TILT_PRIOR)
     unknowns, robust = start, np.ones(len(squares))
     factors = noises.variance_factors(reported=squares.reported)
     for _ in range(ROUNDS):
         lines = _Linearization.of(squares, unknowns, robust)
         parts = lines.information()
-        full, covariance = (before + _combined(parts, factors)).estimate()
-        here = _noise_statistics(lines, full, parts=parts, factors=factors, covariance=covariance)
+        scaled = _scaled(parts, factors)
+        full, covariance = (before + (scaled[SIDES] + scaled[ANISOTROPIES])).estimate()
+        here = _noise_statistics(lines, full, parts=scaled, covariance=covariance)
         factors = noises.accumulated(here).variance_factors(reported=squares.reported)
-        image = _combined(parts, factors)
+        scaled = _scaled(parts, factors)
+        image = scaled[SIDES] + scaled[ANISOTROPIES]
         everything = before + image
         significant = everything.significant(GROUPS, after=AFTER, threshold=SIGNIFICANT)
         unknowns = everything.constrained_mean([k for k in significant if k in trusted])
@@ -218,13 +223,13 @@ def fit_ground(
     )
 
 
-def _combined(parts: list[Information], factors: Array) -> Information:
-    """Return information from sides and anisotropies together, by their variance factors (2,)."""
-    return parts[SIDES].scaled(1 / factors[SIDES]) + parts[ANISOTROPIES].scaled(1 / factors[ANISOTROPIES])
+def _scaled(parts: list[Information], factors: Array) -> list[Information]:
+    """Return information from sides and from anisotropies by their variance factors (2,)."""
+    return [part.scaled(1 / factor) for part, factor in zip(parts, factors, strict=True)]
 
 
 def _noise_statistics(
-    lines: _Linearization, full: Array, *, parts: list[Information], factors: Array, covariance: Array
+    lines: _Linearization, full: Array, *, parts: list[Information], covariance: Array
 ) -> NoiseStatistics:
     """Return squared residuals at the estimate (10,) with all unknowns free, and their degrees of freedom.
 
@@ -232,10 +237,7 @@ def _noise_statistics(
     """
     squares = (lines.residuals_at(full) ** 2 * lines.weights).sum(axis=1)
     numbers = np.array([lines.weights.size / 2 - 1, lines.weights.size])
-    fitted = [
-        float(np.sum(part.scaled(1 / factor).matrix * covariance))
-        for part, factor in zip(parts, factors, strict=True)
-    ]
+    fitted = [float((part.matrix * covariance).sum()) for part in parts]
     return NoiseStatistics(squares, np.maximum(numbers - fitted, 0.0))
 
 

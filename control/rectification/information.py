@@ -115,7 +115,7 @@ class Information:
         """
         free: list[int] = []
         # S and b̃ of all unknowns, (n, n + 1); freeing unknown k eliminates it from the others.
-        reduced = np.column_stack([self.matrix, self.vector])
+        reduced = np.concatenate([self.matrix, self.vector[:, None]], axis=1)
         waiting = dict(groups)
         while waiting:
             candidates = {name: group for name, group in waiting.items() if after.get(name) not in waiting}

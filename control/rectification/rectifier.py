@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from skyherd.control.rectification.ground_fit import (
+    CAMERA_PRIOR,
     DIFFERENCE,
     PRIOR,
     SIDES,
@@ -38,7 +39,7 @@ from skyherd.control.rectification.ground_map import (
 )
 from skyherd.control.rectification.information import Information
 from skyherd.control.rectification.square_shapes import Squares, log_sides
-from skyherd.geometry import Array, ComplexArray, fit_squares, to_complex, to_points
+from skyherd.geometry import Array, ComplexArray, fit_squares, median, to_complex, to_points
 from skyherd.messages import Detections, centred
 from skyherd.messages.checks import check_kind
 
@@ -102,8 +103,7 @@ class Rectifier:
         if not len(seen) or (few and self._previous is None):
             return seen
         squares = Squares.of(seen)
-        prior = Information.prior(PRIOR[:CAMERA])
-        camera = self._after_zoom(squares, self.camera + prior)
+        camera = self._after_zoom(squares, self.camera + CAMERA_PRIOR)
         fit = fit_ground(
             squares,
             camera=camera,
@@ -118,7 +118,7 @@ class Rectifier:
         self._trusted = fit.significant
         if not few:
             fresh = self._fresh(squares)
-            kept = (camera - prior).scaled(1 - fresh / CAMERA_MEMORY)
+            kept = (camera - CAMERA_PRIOR).scaled(1 - fresh / CAMERA_MEMORY)
             self.camera = kept + fit.image.marginal(CAMERA).scaled(fresh)
             self.noises = self.noises.accumulated(fit.noises, NOISE_MEMORY)
             self._previous, self._log_sides = squares, self._ground_log_sides(squares)
@@ -141,7 +141,7 @@ class Rectifier:
         here, there = squares.match(self._previous)
         if not here.size:
             return camera
-        growth = float(np.median(self._ground_log_sides(squares)[here] - self._log_sides[there]))
+        growth = median(self._ground_log_sides(squares)[here] - self._log_sides[there])
         variance = float(np.mean(squares.variances[here] + self._previous.variances[there])) / here.size
         factors = self.noises.variance_factors(reported=squares.reported)
         if growth**2 < ZOOM_DEVIATIONS**2 * variance * factors[SIDES]:

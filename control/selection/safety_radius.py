@@ -8,15 +8,9 @@ import numpy as np
 from skyherd.control.formation.template import Template
 from skyherd.control.policy import NO_ROBOTS, Selection, SelectionPolicy
 from skyherd.control.topology.slots import slot_at
-from skyherd.geometry import Array, IntArray
-from skyherd.messages import Detections, UnitReport, centred
+from skyherd.geometry import IntArray
+from skyherd.messages import Detections, UnitReport, among
 from skyherd.messages.checks import check_numbers
-
-
-def centre_distances(seen: Detections | UnitReport) -> Array:
-    """Return distances (N,) of the robots from the image centre, in halves of the image's shorter side."""
-    points_px = seen.centers_px if isinstance(seen, Detections) else seen.points_px
-    return np.asarray(np.linalg.norm(centred(points_px, seen.image_size_px), axis=1))
 
 
 @dataclass
@@ -50,7 +44,7 @@ class SafetyRadius(SelectionPolicy):
         self, seen: Detections, reports: Sequence[UnitReport], shape: Template, last: UnitReport | None
     ) -> Selection:
         """Return the control set after an image; its robots inside the radius now are secure."""
-        distances = centre_distances(seen)
+        distances = seen.centre_distances
         inside = np.sort(seen.ids[distances < self.radius])
         for robot, distance in zip(seen.ids.tolist(), distances.tolist(), strict=True):
             self._last_seen[robot] = (seen.time_s, distance)
@@ -58,7 +52,7 @@ class SafetyRadius(SelectionPolicy):
         if slot != self._slot:
             self._ids = inside if self._slot is None else self._next_set(inside, seen.time_s, reports)
             self._slot = slot
-        return Selection(self._ids, np.intersect1d(self._ids, inside))
+        return Selection(self._ids, self._ids[among(self._ids, inside)])
 
     def _next_set(self, inside: IntArray, time_s: float, reports: Sequence[UnitReport]) -> IntArray:
         """Return the robots inside, and the present robots that may not be released.

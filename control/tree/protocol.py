@@ -35,7 +35,6 @@ import numpy as np
 
 from skyherd.control.formation.template import Template
 from skyherd.control.policy import Selection, SelectionPolicy
-from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.control.topology.slots import slot_at
 from skyherd.control.tree.failover import fail_over, name_heir
 from skyherd.control.tree.hand_over import give, take
@@ -148,7 +147,7 @@ class TreeProtocol(SelectionPolicy):
             time_s=seen.time_s,
             slot=slot,
             at_slot=slot != self.state.slot,
-            distances=dict(zip(seen.ids.tolist(), centre_distances(seen).tolist(), strict=True)),
+            distances=dict(zip(seen.ids.tolist(), seen.centre_distances.tolist(), strict=True)),
             news=self.peers.take(reports),
             peers=self.peers,
         )

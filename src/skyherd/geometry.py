@@ -39,8 +39,11 @@ SQUARE_CORNERS: ComplexArray = np.array([-0.5 - 0.5j, 0.5 - 0.5j, 0.5 + 0.5j, -0
 """Corners 0-3 of a marker of side 1 about its centre, as `right + i down`: front left, front right, back
 right, back left. The marker's forward direction is -i."""
 
+SQUARE_POWER = float(np.sum(np.abs(SQUARE_CORNERS) ** 2))
+"""Sum of the squared distances of these corners from the centre. Derived."""
+
 ROBOT_FRAME_CORNERS: ComplexArray = np.conj(1j * SQUARE_CORNERS)
-"""The same corners in the robot's frame, as `forward + i left`. Multiplied by `e^{i heading}` they are the
+"""The corners in the robot's frame, as `forward + i left`. Multiplied by `e^{i heading}` they are the
 corners of a marker on the ground, relative to its centre, in sides."""
 
 
@@ -71,6 +74,12 @@ def apply_homography(homography: Array, points: npt.ArrayLike) -> Array:
     points = np.asarray(points, dtype=float)
     mapped = points @ homography[:, :2].T + homography[:, 2]
     return np.asarray(mapped[..., :2] / mapped[..., 2:])
+
+
+def median(values: Array) -> float:
+    """Return the median of values (N,), at least one. `numpy.median` takes ten times as long for a few."""
+    ascending = sorted(values.tolist())
+    return float((ascending[(len(ascending) - 1) // 2] + ascending[len(ascending) // 2]) / 2)
 
 
 def inverse(matrices: npt.ArrayLike) -> Array:
@@ -112,9 +121,8 @@ def fit_squares(corners: ComplexArray) -> SquareImages:
 
         center = Σ p_k / 4,  m = Σ p_k q̄_k / Σ |q_k|²,  k = Σ p_k q_k / Σ |q_k|².
     """
-    power = float(np.sum(np.abs(SQUARE_CORNERS) ** 2))
     return SquareImages(
         centers=np.asarray(corners.mean(axis=1)),
-        similarities=np.asarray(corners @ SQUARE_CORNERS.conj() / power),
-        anisotropies=np.asarray(corners @ SQUARE_CORNERS / power),
+        similarities=np.asarray(corners @ SQUARE_CORNERS.conj() / SQUARE_POWER),
+        anisotropies=np.asarray(corners @ SQUARE_CORNERS / SQUARE_POWER),
     )

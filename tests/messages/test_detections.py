@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyherd.errors import InputError
-from skyherd.messages import Detection, Detections, MotionGoals, Quality
+from skyherd.messages import Detection, Detections, MotionGoals, Quality, UnitReport
 from skyherd.messages.detections import CORNER_COLUMNS
 from skyherd.messages.short_repr import short_value
 
@@ -130,3 +130,17 @@ class TestRepresentation:
     )
     def test_values_have_a_short_form(self, value, shown) -> None:
         assert short_value(value) == shown
+
+
+@pytest.mark.parametrize(("ids", "repeated"), [([], []), ([4, 2], []), ([4, 2, 4, 7, 2, 4], [2, 4])])
+def test_repeated_ids_are_those_at_several_places(make_detections, ids, repeated) -> None:
+    seen = make_detections(ids, np.arange(len(ids)))
+    assert seen.repeated_ids == set(repeated)
+    assert seen.repeated.tolist() == [marker in repeated for marker in ids]
+    assert seen.unambiguous().ids.tolist() == [marker for marker in ids if marker not in repeated]
+
+
+def test_centre_distances_cannot_be_changed(make_detections) -> None:
+    seen = make_detections([3], [400 + 100j])
+    assert not seen.centre_distances.flags.writeable
+    assert not UnitReport.of_image(seen).centre_distances.flags.writeable

@@ -155,7 +155,7 @@ class UnitCore:
             unit_id=self.unit_id,
             time_s=detections.time_s,
             ids=single.ids,
-            repeated_ids=np.unique(detections.ids[detections.repeated]),
+            repeated_ids=np.array(sorted(detections.repeated_ids), dtype=np.int64),
             centers_px=single.centers_px,
             headings_rad=single.headings_rad,
             sides_px=single.sides_px,

@@ -1,9 +1,11 @@
 """Markers that one unit's detector found in one image, and the unit of length for rules on images."""
 
+from collections import Counter
 from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -197,21 +199,32 @@ class Detections:
         numbers = set(MARKER_COLUMNS) - {"id", "quality"}
         return table.astype({"id": int, **dict.fromkeys(numbers, float)})  # also of None and without rows
 
+    @cached_property
+    def repeated_ids(self) -> frozenset[int]:
+        """Ids that occur more than once, which are ambiguous."""
+        ids = self.ids.tolist()
+        if len(set(ids)) == len(ids):  # the usual case
+            return frozenset()
+        return frozenset(marker for marker, count in Counter(ids).items() if count > 1)
+
     @property
     def repeated(self) -> BoolArray:
-        """Mask (N,) of the detections with a repeated id, which are ambiguous."""
-        if len(set(self.ids.tolist())) == self.ids.size:  # the usual case, told faster than by sorting
-            return np.zeros(self.ids.size, dtype=bool)
-        _, where, counts = np.unique(self.ids, return_inverse=True, return_counts=True)
-        return np.asarray(counts[where] > 1)
+        """Mask (N,) of the detections with a repeated id."""
+        return among(self.ids, self.repeated_ids)
+
+    @cached_property
+    def centre_distances(self) -> Array:
+        """Distances (N,) from the image centre, in halves of the image's shorter side."""
+        return centre_distances(self.centers_px, self.image_size_px)
 
     def unambiguous(self) -> "Detections":
         """Return the detections whose ids occur once."""
-        repeated = self.repeated
-        return self._kept(~repeated) if repeated.any() else self
+        return self.without(self.repeated_ids)
 
     def without(self, ids: AbstractSet[int] | npt.ArrayLike) -> "Detections":
         """Return the detections with none of the `ids`, in the present order."""
+        if isinstance(ids, AbstractSet) and ids.isdisjoint(self.ids.tolist()):
+            return self
         drop = among(self.ids, ids)
         return self._kept(~drop) if drop.any() else self
 
@@ -252,3 +265,10 @@ def centred(points_px: Array, image_size_px: Array) -> Array:
         image_size_px: (2,) width and height of the image.
     """
     return np.asarray((points_px - (image_size_px - 1) / 2) / (min(image_size_px.tolist()) / 2))
+
+
+def centre_distances(points_px: Array, image_size_px: Array) -> Array:
+    """Return distances (N,) of image points (N, 2), px, from the image centre, read-only; see `centred`."""
+    distances = np.asarray(np.linalg.norm(centred(points_px, image_size_px), axis=1))
+    distances.setflags(write=False)
+    return distances

@@ -13,8 +13,8 @@ INTEGERS, FLOATS = np.dtype(np.int64), np.dtype(np.float64)
 """Types of frozen arrays."""
 
 
-def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: bool = False) -> None:
-    """Replace the field `name` of `owner` by a validated, read-only copy.
+def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: bool = False) -> np.ndarray:
+    """Replace the field `name` of `owner` by a validated, read-only copy, and return the copy.
 
     Args:
         owner: the frozen dataclass under construction.
@@ -35,6 +35,7 @@ def freeze(owner: object, name: str, shape: tuple[int | None, ...], *, integer: 
         raise MessageError(f"{type(owner).__name__}.{name}", shown(array.tolist()), "finite numbers")
     array.setflags(write=False)
     object.__setattr__(owner, name, array)
+    return array
 
 
 def _array(owner: object, name: str, *, integer: bool) -> np.ndarray:
@@ -66,8 +67,7 @@ def freeze_ids(owner: object, name: str, *, repeats: bool = False) -> int:
         MessageError: an id is negative, the field is not a list of integers, or an id occurs twice and
             `repeats` does not allow it.
     """
-    freeze(owner, name, (np.size(getattr(owner, name)),), integer=True)
-    ids = getattr(owner, name).tolist()
+    ids = freeze(owner, name, (np.size(getattr(owner, name)),), integer=True).tolist()
     if not repeats and len(set(ids)) != len(ids):
         raise MessageError(f"{type(owner).__name__}.{name}", f"repeated id in {shown(ids)}", "each id once")
     if min(ids, default=0) < 0:
@@ -81,7 +81,6 @@ def freeze_image_size(owner: object) -> None:
     Raises:
         MessageError: a number is below 1, or `freeze` rejects the field.
     """
-    freeze(owner, "image_size_px", (2,))
-    size_px = owner.image_size_px  # type: ignore[attr-defined]
+    size_px = freeze(owner, "image_size_px", (2,))
     if not (size_px >= 1).all():
         raise MessageError(f"{type(owner).__name__}.image_size_px", shown(size_px.tolist()), "1 or more")

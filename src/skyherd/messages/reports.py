@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, IntArray
 from skyherd.messages.checks import check_time
-from skyherd.messages.detections import Detections, centred
+from skyherd.messages.detections import Detections, centre_distances
 from skyherd.messages.frozen_arrays import freeze, freeze_ids, freeze_image_size
 from skyherd.messages.role_map import RoleMap
 from skyherd.messages.short_repr import short_repr
@@ -80,10 +80,14 @@ class UnitReport:
         return frozenset(self.controlled_ids.tolist())
 
     @cached_property
+    def centre_distances(self) -> Array:
+        """Distances (N,) of the robots from the image centre, in halves of the image's shorter side."""
+        return centre_distances(self.points_px, self.image_size_px)
+
+    @cached_property
     def distances(self) -> dict[int, float]:
-        """Distance from the image centre of each robot seen, in halves of the image's shorter side."""
-        distances = np.linalg.norm(centred(self.points_px, self.image_size_px), axis=1)
-        return dict(zip(self.ids.tolist(), distances.tolist(), strict=True))
+        """The same by robot."""
+        return dict(zip(self.ids.tolist(), self.centre_distances.tolist(), strict=True))
 
 
 def shared_ids(own: npt.ArrayLike, reports: Sequence[UnitReport]) -> IntArray:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from skyherd.control import FlightTask, Follow, Hover, Perimeter, SafetyRadius, Template
-from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.control.topology.conditions import check_conditions, control_matrix, graph_edges
 from skyherd.messages import shared_ids
 
@@ -146,7 +145,7 @@ class OneUnit:
 def test_centre_distances_are_in_halves_of_shorter_side(make_detections, size) -> None:
     """The origin is the middle of the pixel grid, (width - 1) / 2: exact to rounding for all sizes."""
     seen = at_radius(make_detections, {1: 0.0, 2: 0.5, 3: 1.0}, size=size)
-    np.testing.assert_allclose(centre_distances(seen), [0, 0.5, 1.0], atol=1e-12)
+    np.testing.assert_allclose(seen.centre_distances, [0, 0.5, 1.0], atol=1e-12)
 
 
 class TestSafetyRadius:

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skyherd.control.selection.safety_radius import centre_distances
 from skyherd.control.topology.convergence_rate import slowest_rate
 from skyherd.control.tree.node_state import TreeSettings
 from skyherd.datasets import make_mission
@@ -53,7 +52,7 @@ def test_units_search_before_tree_and_hold_while_it_grows(seed) -> None:
 
 def counts_inside(step: Step, radius: float) -> dict[int, int]:
     reports = {unit: frame.decision.report for unit, frame in step.frames.items()}
-    return {unit: int((centre_distances(report) < radius).sum()) for unit, report in reports.items()}
+    return {unit: int((report.centre_distances < radius).sum()) for unit, report in reports.items()}
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -103,8 +103,9 @@ class Ground:
         key = homography.tobytes() + bytes(str(size_px), "ascii")
         if key in self._drawn:
             return self._drawn[key].copy()
-        texture, sample_ground = self._choose(homography, size_px)
-        frame, matrices = Frame(np.zeros(size_px[1])), (sample_ground @ inverse(homography))[None]
+        ground_image = inverse(homography)
+        texture, sample_ground = self._choose(homography, ground_image, size_px)
+        frame, matrices = Frame(np.zeros(size_px[1])), (sample_ground @ ground_image)[None]
         drawn = library().draw_ground(size_px, frame, matrices, texture)
         if key in self._asked:
             if len(self._drawn) == KEPT:
@@ -122,15 +123,20 @@ class Ground:
         size_px = images.camera.size_px
         if self.kind == "plain":
             return self.draw(np.eye(3), size_px)
-        texture, sample_ground = self._choose(images.matrices[len(images.matrices) // 2, 0], size_px)
-        matrices = sample_ground @ inverse(images.matrices[:, 0])
+        ground_images, middle = inverse(images.matrices[:, 0]), len(images.matrices) // 2
+        texture, sample_ground = self._choose(images.matrices[middle, 0], ground_images[middle], size_px)
+        matrices = sample_ground @ ground_images
         return library().draw_ground(size_px, images.frame(), matrices, texture)
 
-    def _choose(self, homography: Array, size_px: tuple[int, int]) -> tuple[Image, Array]:
-        """Return the texture (`_bordered`) at the resolution of a view, and the map (3, 3) to its samples."""
+    def _choose(
+        self, homography: Array, ground_image: Array, size_px: tuple[int, int]
+    ) -> tuple[Image, Array]:
+        """Return the texture (`_bordered`) at the resolution of a view, and the map (3, 3) to its samples.
+
+        The view is a homography from the ground to the image, given with its inverse.
+        """
         width, height = size_px
-        image_ground = inverse(homography)
-        center = image_ground @ [width / 2, height / 2, 1.0]
+        center = ground_image @ [width / 2, height / 2, 1.0]
         scale = _local_scale(homography, center[:2] / center[2])
         wanted = SAMPLES_PER_PX * scale * float(np.sqrt(self.period_m.prod()))
         samples = COARSEST

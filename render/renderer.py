@@ -216,7 +216,7 @@ class Renderer:
 
         Those of the last ids are cached.
         """
-        asked = tuple(int(marker_id) for marker_id in ids)
+        asked = tuple(np.asarray(ids).tolist())
         if self._team != asked:
             cells = np.stack([marker_cells(self.dictionary, marker_id) for marker_id in asked])
             levels = np.where(cells, self.white, self.black)

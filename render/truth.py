@@ -35,24 +35,43 @@ class FrameTruth:
     Attributes:
         ids: (N,) markers.
         centers_px: (N, 2) images of the markers' centres.
-        headings_rad: (N,) direction in the image, from +u to +v, of a marker's forward axis at its centre.
-        sides_px: (N,) `sqrt(|det J|)`, where J is the Jacobian of `images_marker` at the centre.
         corners_px: (N, 4, 2) images of the black squares' corners, in the marker's order.
-        images_marker: (N, 3, 3) homographies from marker coordinates (forward, left, in sides) to pixels;
-            with a lens or a rolling shutter correct to first order at the centre.
         whole: (N,) True if the marker and its whole card are in the image and not covered.
+        images: images of the markers, from marker coordinates (forward, left, in sides).
         count_visible: function that computes `visible_fractions`. It is called on demand, since it takes as
             long as all the rest.
     """
 
     ids: IntArray
     centers_px: Array
-    headings_rad: Array
-    sides_px: Array
     corners_px: Array
-    images_marker: Array
     whole: BoolArray
+    images: ShapeImages = field(repr=False, compare=False)
     count_visible: Callable[[], Array] = field(repr=False, compare=False)
+
+    @cached_property
+    def images_marker(self) -> Array:
+        """Homographies (N, 3, 3) from marker coordinates (forward, left, in sides) to pixels.
+
+        With a lens or a rolling shutter they are correct to first order at the centre.
+        """
+        return self.images.at_origin()
+
+    @cached_property
+    def _jacobians(self) -> Array:
+        """Jacobians (N, 2, 2) of `images_marker` at the centres."""
+        local, centers = self.images_marker, self.centers_px
+        return np.asarray((local[:, :2, :2] - centers[:, :, None] * local[:, 2:, :2]) / local[:, 2:, 2:])
+
+    @cached_property
+    def headings_rad(self) -> Array:
+        """Direction (N,) in the image, from +u to +v, of a marker's forward axis at its centre."""
+        return np.arctan2(self._jacobians[:, 1, 0], self._jacobians[:, 0, 0])
+
+    @cached_property
+    def sides_px(self) -> Array:
+        """Sides (N,) of the squares of equal area: `sqrt(|det J|)`, with the Jacobian J at the centre."""
+        return np.asarray(np.sqrt(np.abs(np.linalg.det(self._jacobians))))
 
     @cached_property
     def visible_fractions(self) -> Array:
@@ -135,34 +154,33 @@ def project_markers(
     card = card_side_m / side_m
     points = images.project(np.concatenate([np.zeros((1, 2)), SQUARE, SQUARE * card]))
     centers, corners, cards = points[:, 0], points[:, 1:5], points[:, 5:]
-    local = images.at_origin()
-    jacobian = (local[:, :2, :2] - centers[:, :, None] * local[:, 2:, :2]) / local[:, 2:, 2:]
-    limit, ahead = np.array(camera.size_px) - 0.5, images.before_horizon(np.zeros((1, 2)))
-    inside = ((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2))
-    whole = np.asarray(inside & images.before_horizon(SQUARE * card))
-    clear = np.where(whole, 1.0, 0.0)
-    touches = ((cards.max(axis=1) >= -0.5) & (cards.min(axis=1) <= limit)).all(axis=1)
-    unsure = np.flatnonzero(ahead & touches & (~whole | bool(occluders)))
+    limit = np.array(camera.size_px) - 0.5
+    inside = ((cards >= -0.5) & (cards <= limit)).all(axis=(1, 2)) & images.before_horizon(SQUARE * card)
 
-    def shares(side: float) -> Array:
-        return _shares(images.only(unsure), markers(0.0)[unsure], occluders, side)
+    def unsure() -> IntArray:
+        touches = ((cards.max(axis=1) >= -0.5) & (cards.min(axis=1) <= limit)).all(axis=1)
+        ahead = images.before_horizon(np.zeros((1, 2)))
+        return np.flatnonzero(ahead & touches & (~inside | bool(occluders)))
 
+    def shares(rows: IntArray, side: float) -> Array:
+        return _shares(images.only(rows), markers(0.0)[rows], occluders, side)
+
+    whole = inside.copy()
     if occluders:
-        whole[unsure] &= shares(card) == 1.0
+        rows = unsure()
+        whole[rows] &= shares(rows, card) == 1.0
 
     def count_visible() -> Array:
-        fractions = clear.copy()
-        fractions[unsure] = shares(1.0)
+        fractions, rows = inside.astype(float), unsure()
+        fractions[rows] = shares(rows, 1.0)
         return fractions
 
     return FrameTruth(
         ids=np.arange(len(centers)) if ids is None else np.asarray(ids),
         centers_px=centers,
-        headings_rad=np.arctan2(jacobian[:, 1, 0], jacobian[:, 0, 0]),
-        sides_px=np.sqrt(np.abs(np.linalg.det(jacobian))),
         corners_px=corners,
-        images_marker=local,
         whole=whole,
+        images=images,
         count_visible=count_visible,
     )
 

@@ -7,6 +7,7 @@ lens distortion follows the homography. Both drawing and ground truth use `View`
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -75,7 +76,8 @@ class ShapeImages:
         With a rolling shutter the row of a point depends on its time, and the time on the row. Fixed-point
         iteration solves this.
         """
-        homogeneous = np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)
+        homogeneous = np.ones((*points.shape[:-1], 3))
+        homogeneous[..., :2] = points
         if not self.rolling:
             mapped = homogeneous @ self.matrices[0].transpose(0, 2, 1)
             return distort(self.camera, self.zoom, mapped[..., :2] / mapped[..., 2:])
@@ -179,25 +181,30 @@ class View:
             ground_shapes: function from a time, s, to the homographies (N, 3, 3) from shape coordinates to
                 ground metres.
         """
-        half_s = self.shutter.row_time_s * self.camera.size_px[1] / 2
-        times_s = np.array([-half_s, 0.0, half_s] if half_s else [0.0])
-        matrices = []
-        for time_s in times_s + self.at_s:
-            pose = self.motion.pose_at(self.pose, float(time_s)) if time_s else self.pose
-            matrices.append(self._homography(pose) @ ground_shapes(float(time_s)))
-        return ShapeImages(
-            camera=self.camera, zoom=self.pose.zoom, times_s=times_s, matrices=np.array(matrices)
-        )
-
-    def _homography(self, pose: CameraPose) -> Array:
-        """Return the homography (3, 3) from ground metres to undistorted pixels."""
-        if self.ray is None:
-            return homography_image_ground(self.camera, pose)
-        return self.ray.homography(self.camera, pose)
+        shapes = np.array([ground_shapes(time_s + self.at_s) for time_s in self._times_s])
+        return self._of(self._homographies[:, None] @ shapes)
 
     def ground(self) -> ShapeImages:
         """Return the image of the ground, as a single shape with coordinates in metres."""
-        return self.images(lambda _: np.eye(3)[None])
+        return self._of(self._homographies[:, None])
+
+    def _of(self, matrices: Array) -> ShapeImages:
+        return ShapeImages(self.camera, self.pose.zoom, np.array(self._times_s), matrices)
+
+    @property
+    def _times_s(self) -> list[float]:
+        """Instants as in `ShapeImages`."""
+        half_s = self.shutter.row_time_s * self.camera.size_px[1] / 2
+        return [-half_s, 0.0, half_s] if half_s else [0.0]
+
+    @cached_property
+    def _homographies(self) -> Array:
+        """Homographies (Q, 3, 3) from ground metres to undistorted pixels at these instants."""
+        times_s = [time_s + self.at_s for time_s in self._times_s]
+        poses = [self.motion.pose_at(self.pose, time_s) if time_s else self.pose for time_s in times_s]
+        if self.ray is None:
+            return np.array([homography_image_ground(self.camera, pose) for pose in poses])
+        return np.array([self.ray.homography(self.camera, pose) for pose in poses])
 
     def ground_box(self) -> tuple[Array, Array]:
         """Return the lower and upper corner (2,), m, of a bounding box of the ground in view."""

@@ -1,6 +1,5 @@
 """Structure of arrays: dataclasses whose fields have one row per element, with operations on whole rows."""
 
-from dataclasses import fields
 from typing import Any, Self
 
 import numpy as np
@@ -36,7 +35,7 @@ class RowRecord:
 
 
 def _values(record: Any) -> list[Any]:
-    return [getattr(record, field.name) for field in fields(record)]
+    return [getattr(record, name) for name in record.__match_args__]
 
 
 def _taken(value: Any, rows: IntArray | BoolArray) -> Any:

@@ -147,9 +147,10 @@ def _crowded(image: Image, known_px: Array, min_darkness: float) -> Image:
     crowd = np.clip(CROWD_FACTOR * cv2.mean(darkness)[0], MIN_CROWD, MAX_CROWD)
     least = max(float(crowd), min_darkness)
     _, crowded = cv2.threshold(_mean(darkness, COARSE_WINDOW), least, 255, cv2.THRESH_BINARY)
-    for square in np.rint((known_px - 0.5) / 2).astype(np.int32):
+    squares = np.rint((known_px - 0.5) / 2).astype(np.int32)
+    for square in squares:
         cv2.fillConvexPoly(crowded, square, 0)
-        cv2.polylines(crowded, [square], True, 0, KNOWN_LINE_PX)
+    cv2.polylines(crowded, list(squares), True, 0, KNOWN_LINE_PX)
     reach = np.ones((CROWD_REACH, CROWD_REACH), dtype=np.uint8)
     return np.asarray(cv2.dilate(crowded, reach), dtype=np.uint8)
 

@@ -123,6 +123,8 @@ class RenderedPerception(Perception):
 
     def _covers(self, world: World, unit: int, markers: Markers) -> list[Quad]:
         """Return cards of one grey level, each over the whole card of a covered marker."""
+        if not world.covered_ids:
+            return []
         covered = markers.take(np.flatnonzero(among(markers.ids, world.covered_ids)))
         card = card_side(self.dictionary) * ROBOT_FRAME_CORNERS
         if covered.frames is None:
@@ -174,7 +176,7 @@ class RenderedPerception(Perception):
 def _right(detections: Detections, truth: FrameTruth) -> BoolArray:
     """Return the mask (N,) of detections whose marker is in view, at most half a side away."""
     order = np.argsort(truth.ids)
-    place = np.searchsorted(truth.ids, detections.ids, sorter=order).clip(max=truth.ids.size - 1)
-    row = order[place]
+    place = np.searchsorted(truth.ids, detections.ids, sorter=order)
+    row = order[np.minimum(place, truth.ids.size - 1)]
     error = np.linalg.norm(truth.centers_px[row] - detections.centers_px, axis=1)
     return np.asarray((truth.ids[row] == detections.ids) & (error <= detections.sides_px / 2))

@@ -26,7 +26,8 @@ class RobotsToldApart(Perception):
 
     def _relabelled(self, units: Sequence[int], sights: Iterable[Sight]) -> Iterator[Sight]:
         for unit, sight in zip(units, sights, strict=True):
-            yield replace(sight, detections=self._copies[unit].relabel(sight.detections))
+            relabelled = self._copies[unit].relabel(sight.detections)
+            yield sight if relabelled is sight.detections else replace(sight, detections=relabelled)
 
 
 def with_robots_told_apart(perception: Perception, mission: Mission) -> Perception:

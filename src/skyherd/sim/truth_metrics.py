@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
+from scipy.spatial.distance import pdist
 
 from skyherd.control import (
     Conditions,
@@ -187,9 +187,5 @@ class TruthObserver:
 
 
 def _min_separation_m(positions_m: Array) -> float:
-    """Return the minimum distance between two of the positions (N, 2).
-
-    The nearest neighbour of a robot in the tree is the robot itself, so that the second one counts.
-    """
-    distances, _ = KDTree(positions_m).query(positions_m, 2)
-    return float(np.asarray(distances)[:, 1].min())
+    """Return the minimum distance between two of the positions (N, 2)."""
+    return float(pdist(positions_m).min(initial=np.inf))

@@ -266,12 +266,12 @@ class World:
 
     def markers_facing(self, unit: int) -> Markers:
         """Return the markers that face one unit's camera, in the order in which they are drawn."""
-        rows = self._rows_facing(unit)
-        return self.markers if rows is None else self.markers.take(rows)
-
-    def _rows_facing(self, unit: int) -> IntArray | None:
-        """Return the rows of the markers that face one unit's camera; None for all, on the ground."""
         markers = self.markers
+        rows = self._rows_facing(unit, markers)
+        return markers if rows is None else markers.take(rows)
+
+    def _rows_facing(self, unit: int, markers: Markers) -> IntArray | None:
+        """Return the rows of the markers that face one unit's camera; None for all, on the ground."""
         if markers.frames is None:
             return None
         pose = self.camera_pose(unit)
@@ -329,7 +329,7 @@ class World:
         sway = self._units[unit].sway
         tilt_u, tilt_v = (0.0, 0.0) if sway is None else sway.rates_at(self._time_s).tolist()
         marker_mps, turns_radps = np.pad(marker_mps, ((0, still), (0, 0))), np.pad(turns_radps, (0, still))
-        if (facing := self._rows_facing(unit)) is not None:
+        if (facing := self._rows_facing(unit, self.markers)) is not None:
             marker_mps, turns_radps = marker_mps[facing], turns_radps[facing]
         return Motion(
             camera_mps=(x, y, climb),

@@ -107,8 +107,9 @@ class LatencyCompensation:
         when_s = np.maximum(times_s - self.delay_s, starts_s[min(1, len(starts_s) - 1)])
         knots = np.searchsorted(starts_s, when_s + TIME_TOLERANCE_S, side="right") - 1
         poses = [self._pose_after(knot, time_s) for knot, time_s in zip(knots.tolist(), when_s, strict=True)]
-        places_m, headings_rad = (np.array(parts) for parts in zip(*poses, strict=True))
-        return places_m + self.axis_offset_m * np.exp(1j * headings_rad), headings_rad
+        headings_rad = np.array([heading_rad for _, heading_rad in poses], dtype=np.float64)
+        axles_m = np.array([place_m for place_m, _ in poses], dtype=np.complex128)
+        return axles_m + self.axis_offset_m * np.exp(1j * headings_rad), headings_rad
 
     def headings_rad(self, times_s: Array, robots: IntArray) -> Array:
         """Return the headings (P,), rad, of robots (P,), by row, at times (P,).

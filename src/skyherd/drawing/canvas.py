@@ -195,11 +195,11 @@ def _sprite(text: str, size_px: int, bold: bool, align: Align, color: Color, hal
     mask = PillowImage.new("L", (int(np.ceil(length)) + 2 * pad, ascent + descent + 2 * pad))
     ImageDraw.Draw(mask).text((pad, pad), text, fill=255, font=font)
     ink = np.asarray(mask, dtype=np.float32)[..., None] / np.float32(255)
-    add, keep = ink * np.float32(color), 1 - ink
+    add, keep = ink * np.array(color, np.float32), 1 - ink
     if halo is not None:
         disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
         around = cv2.GaussianBlur(cv2.dilate(np.asarray(mask), disc), (3, 3), 0)[..., None] / np.float32(255)
-        add, keep = add + keep * around * np.float32(halo), keep * (1 - around)
+        add, keep = add + keep * around * np.array(halo, np.float32), keep * (1 - around)
     anchor = {"left": 0.0, "center": length / 2, "right": length}[align]
     return _Sprite(
         np.floor(keep * 256).astype(np.uint16),

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from skyherd.errors import MessageError
 from skyherd.geometry import Array, IntArray
-from skyherd.messages.checks import check_time
+from skyherd.messages.checks import check_time, shown
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 
 
@@ -42,4 +42,4 @@ class Sighting:
         freeze(self, "headings_rad", (n,))
         freeze(self, "sides_px", (n,))
         if (self.sides_px <= 0).any():
-            raise MessageError("Sighting: sides_px must be positive")
+            raise MessageError("Sighting.sides_px", shown(self.sides_px.tolist()), "positive sides")

@@ -21,7 +21,8 @@ class RowRecord:
         """
         if rows.dtype == bool and rows.all():
             return self
-        return type(self)(*(_taken(value, rows) for value in _values(self)))
+        indices = np.flatnonzero(rows) if rows.dtype == bool else np.asarray(rows, dtype=np.int64)
+        return type(self)(*(_taken(value, indices) for value in _values(self)))
 
     def put(self, rows: IntArray, others: Self) -> Self:
         """Return a copy in which the K rows of `others` replace the rows at indices `rows` (K,)."""
@@ -35,11 +36,11 @@ class RowRecord:
 
 
 def _values(record: Any) -> list[Any]:
-    return [getattr(record, name) for name in record.__match_args__]
+    return [getattr(record, name) for name in record.__dataclass_fields__]  # `fields` takes twice as long
 
 
-def _taken(value: Any, rows: IntArray | BoolArray) -> Any:
-    return value.take(rows) if isinstance(value, RowRecord) else value[rows]
+def _taken(value: Any, rows: IntArray) -> Any:
+    return value.take(rows) if isinstance(value, RowRecord) else value.take(rows, axis=0)
 
 
 def _put(value: Any, rows: IntArray, others: Any) -> Any:

@@ -379,6 +379,28 @@ def test_correlation_is_that_of_cells_with_the_nearest_code() -> None:
     assert correlations[0] == pytest.approx(max(np.corrcoef(seen, one)[0, 1] for one in patterns), abs=1e-4)
 
 
+@pytest.mark.parametrize("clips", [False, True])
+def test_codes_are_compared_as_if_they_were_drawn(clips) -> None:
+    """Each code under each blur drawn from its edges; the blur of the greatest correlation is chosen."""
+    rng, n = np.random.default_rng(5), 6
+    readings = Readings.read(noisy(card(marker_cells("4X4_50", 7)), 2, std=20.0), corners(n), n)
+    codes = rng.integers(0, 200, (1, 6))
+    codes[0, 0] = 4 * 7
+    blurs, alike, drawn = readings_module._drawn_most_alike(readings, codes, "4X4_50", clips=clips)
+    black = readings_module.black_cells("4X4_50")
+    for k, code in enumerate(codes[0]):
+        correlations, whites = [], []
+        for along, down in readings_module.BLURS_CELLS:
+            shares = (readings_module.cell_shares(n, n, blur, clips=clips) for blur in (down, along))
+            rows, columns = shares
+            whites.append((1 - rows @ black[code] @ columns.T).ravel())
+            correlations.append(np.corrcoef(exposed(whites[-1], clips), readings.levels[0])[0, 1])
+        assert blurs[0, k] == np.argmax(correlations)
+        per_part = np.sqrt(readings.levels.shape[1])
+        np.testing.assert_allclose(alike[0, k] / per_part, max(correlations), atol=1e-5)
+        np.testing.assert_allclose(drawn[0, k], whites[blurs[0, k]], atol=1e-5)
+
+
 @pytest.mark.parametrize("turn_deg", [0, 45])
 @pytest.mark.parametrize("dictionary", ["APRILTAG_36h11", "APRILTAG_36h11@2"])
 def test_a_marker_with_bits_beyond_the_image_has_no_odds(dictionary, turn_deg, monkeypatch) -> None:

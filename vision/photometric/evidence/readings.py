@@ -21,6 +21,7 @@ from skyherd.vision.blurred_cells import standardised
 from skyherd.vision.grey import Image, block_means, sample_squares
 from skyherd.vision.native.library import library
 from skyherd.vision.native.pattern_records import PARTS
+from skyherd.vision.native.records import Floats
 from skyherd.vision.row_record import RowRecord
 from skyherd.vision.search.decode import blurred_codes
 
@@ -258,17 +259,57 @@ def _drawn_most_alike(
     readings: Readings, codes: IntArray, dictionary: str, *, clips: bool
 ) -> tuple[IntArray, Array, Array]:
     """Return the blurs (N, K) most alike, their correlations with the readings, and unclipped whiteness."""
-    black, (along, down) = black_cells(dictionary)[codes], _gathers(readings.n_cells, clips)
-    rows = np.einsum("bsj,nkij->nkbis", along, black)
-    drawn = 1 - np.einsum("bri,nkbis->nkbrs", down, rows, optimize=True)
-    drawn = drawn.reshape(*codes.shape, len(BLURS_CELLS), -1)
-    shown = exposed(drawn, clips) if clips else drawn
-    centred = shown - shown.mean(axis=-1, keepdims=True)
     seen = standardised(readings.levels.astype(np.float32))
-    alike = np.einsum("nkbr,nr->nkb", centred, seen) / np.linalg.norm(centred, axis=-1)
-    blurs = alike.argmax(axis=-1)
-    chosen = np.take_along_axis(drawn, blurs[..., None, None], axis=2)[:, :, 0]
-    return blurs, np.asarray(alike.max(axis=-1)), np.asarray(chosen, dtype=float)
+    correlations = (_clipped_correlations if clips else _correlations)(seen, codes, dictionary)
+    blurs = correlations.argmax(axis=-1)
+    along, down = _gathers(readings.n_cells, clips)
+    darkness = down[blurs] @ black_cells(dictionary)[codes] @ along[blurs].swapaxes(-1, -2)
+    drawn = (1 - darkness.astype(float)).reshape(*codes.shape, -1)
+    return blurs, np.asarray(correlations.max(axis=-1)), drawn
+
+
+def _correlations(seen: Floats, codes: IntArray, dictionary: str) -> Array:
+    """Return the correlations (N, K, blurs) of standardised readings (N, parts) with codes under each blur.
+
+    The darkness of black cells B is `D B Aᵀ`. Its inner product with readings S is that of B with `Dᵀ S A`,
+    the readings gathered by cells, so that no code is drawn.
+    """
+    black = black_cells(dictionary)
+    n_cells, side = black.shape[1], isqrt(seen.shape[1])
+    along, down = _gathers(n_cells, clips=False)
+    gathered = down.swapaxes(1, 2) @ (seen.reshape(-1, 1, side, side) @ along)
+    cells = n_cells**2
+    products = black[codes].reshape(*codes.shape, cells) @ gathered.reshape(len(seen), -1, cells).swapaxes(
+        1, 2
+    )
+    return np.asarray(-products / _deviations(dictionary)[codes])
+
+
+@lru_cache(maxsize=16)
+def _deviations(dictionary: str) -> Array:
+    """Return the root sums of squares (4 D, blurs) of all codes' darkness about its mean under each blur.
+
+    The sum of squares of `D B Aᵀ` is the inner product of B with `DᵀD B AᵀA`.
+    """
+    black = black_cells(dictionary).astype(float)
+    roots = []
+    for along, down in zip(
+        *(part.astype(float) for part in _gathers(black.shape[1], clips=False)), strict=True
+    ):
+        squares = ((down.T @ down) @ black @ (along.T @ along) * black).sum(axis=(1, 2))
+        sums = down.sum(axis=0) @ black @ along.sum(axis=0)
+        roots.append(np.sqrt(squares - sums**2 / (len(down) * len(along))))
+    return np.stack(roots, axis=1)
+
+
+def _clipped_correlations(seen: Floats, codes: IntArray, dictionary: str) -> Array:
+    """Return the correlations (N, K, blurs) as `_correlations`, with codes that the image clips."""
+    black = black_cells(dictionary)[codes][:, :, None]
+    along, down = _gathers(black.shape[-1], clips=True)
+    shown = exposed(1 - down @ black @ along.swapaxes(1, 2), clips=True).reshape(*codes.shape, len(down), -1)
+    centred = shown - shown.mean(axis=-1, keepdims=True)
+    products = (centred @ seen[:, None, :, None])[..., 0]
+    return np.asarray(products / np.linalg.norm(centred, axis=-1))
 
 
 @lru_cache(maxsize=16)

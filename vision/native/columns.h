@@ -13,6 +13,10 @@
 
 #include "fit.h"
 
+#if defined(__AVX512F__)
+#include <immintrin.h>
+#endif
+
 enum { MAX_EDGES = MAX_CELLS + 1, BEYOND = 5, ROWS = MAX_CELLS + 2 * BEYOND, MAX_ORDERS = 5 };
 
 /* Edges further away than this many standard deviations count as passed or as not reached. Chosen: Φ is within 3e-7 of its
@@ -20,8 +24,10 @@ enum { MAX_EDGES = MAX_CELLS + 1, BEYOND = 5, ROWS = MAX_CELLS + 2 * BEYOND, MAX
 static const float REACH_SIGMAS = 5.0f;
 
 /* Rows of a marker's cells as bits, from BEYOND rows above it to BEYOND below: bit c + BEYOND of row r + BEYOND is cell
- * (r, c), 1 where black. */
-typedef struct { int32_t rows[ROWS]; } CellBits;
+ * (r, c), 1 where black. There is room for two vectors of the widest build. */
+enum { ROOM = 32 };
+_Static_assert(ROWS <= ROOM, "all rows are in two vectors");
+typedef struct { int32_t rows[ROOM]; } CellBits;
 
 INLINE CellBits bits_of(const float *cells, int32_t n) {
     CellBits bits = {{0}};
@@ -67,12 +73,22 @@ INLINE void sum_row(int count, int orders, Ints cells, const Edges *across, Floa
     }
 }
 
+/* Return the rows of the given numbers. */
+INLINE Ints rows_at(const CellBits *bits, Ints numbers) {
+#if defined(__AVX512F__)
+    Ints halves[ROOM / LANES];
+    memcpy(halves, bits->rows, sizeof halves);
+    return (Ints)_mm512_permutex2var_epi32((__m512i)halves[0], (__m512i)numbers, (__m512i)halves[1]);
+#else
+    Ints rows;
+    for (int i = 0; i < LANES; i++) rows[i] = bits->rows[numbers[i]];
+    return rows;
+#endif
+}
+
 /* Return one row of the cells about each pixel as bits, from the cell before its first edge on. */
 INLINE Ints cells_of(const CellBits *bits, const Edges *across, const Edges *down, int row) {
-    Ints cells = {0};
-    for (int i = 0; i < LANES; i++)
-        cells[i] = bits->rows[down->first[i] - 1 + BEYOND + row] >> (across->first[i] - 1 + BEYOND);
-    return cells;
+    return rows_at(bits, down->first + (BEYOND - 1 + row)) >> (across->first + (BEYOND - 1));
 }
 
 /* Ground beyond the card that pixels hold, as a share, and the weights that it leaves: 1 / sqrt(1 + t² g²). */

@@ -81,13 +81,21 @@ static void places_of(const Marker *marker, int64_t v, int64_t u, int64_t length
 /* Where the pixels of a marker are written: blocks, and how many pixels there are. */
 typedef struct { float *places; int32_t *pixels; int64_t count; } List;
 
-static void append(List *list, float x, float y, int64_t v, int64_t u) {
-    const int64_t at = list->count / BLOCK_PX * (2 * BLOCK_PX) + list->count % BLOCK_PX;
-    list->places[at] = x;
-    list->places[at + BLOCK_PX] = y;
-    list->pixels[at] = (int32_t)v;
-    list->pixels[at + BLOCK_PX] = (int32_t)u;
-    list->count++;
+/* Append `length` pixels of line v from column u on, block by block. */
+static void append(List *list, const double *x, const double *y, int64_t length, int64_t v, int64_t u) {
+    while (length > 0) {
+        const int64_t begin = list->count % BLOCK_PX, at = list->count / BLOCK_PX * (2 * BLOCK_PX) + begin;
+        const int64_t part = BLOCK_PX - begin < length ? BLOCK_PX - begin : length;
+        float *restrict places = list->places + at;
+        int32_t *restrict pixels = list->pixels + at;
+        for (int64_t i = 0; i < part; i++) {
+            places[i] = (float)x[i];
+            places[i + BLOCK_PX] = (float)y[i];
+            pixels[i] = (int32_t)v;
+            pixels[i + BLOCK_PX] = (int32_t)(u + i);
+        }
+        list->count += part, length -= part, x += part, y += part, u += part;
+    }
 }
 
 /* Append the pixels of a marker in line v. They follow each other, since a line crosses a quadrilateral once. */
@@ -99,7 +107,7 @@ static void append_line(const Marker *marker, int64_t v, Range columns, List *li
         places_of(marker, v, u, length, x, y, within);
         while (first < end && within[first] == 0.0) first++;
         while (first < end && within[end - 1] == 0.0) end--;
-        for (int64_t i = first; i < end; i++) append(list, (float)x[i], (float)y[i], v, u + i);
+        append(list, x + first, y + first, end - first, v, u + first);
     }
 }
 
@@ -107,9 +115,9 @@ static void append_line(const Marker *marker, int64_t v, Range columns, List *li
 static void fill_last_block(List list) {
     if (list.count % BLOCK_PX == 0) return;
     const int64_t block = list.count / BLOCK_PX * (2 * BLOCK_PX), last = block + list.count % BLOCK_PX - 1;
-    const float x = list.places[last], y = list.places[last + BLOCK_PX];
+    const double x = (double)list.places[last], y = (double)list.places[last + BLOCK_PX];
     const int32_t v = list.pixels[last], u = list.pixels[last + BLOCK_PX];
-    while (list.count % BLOCK_PX) append(&list, x, y, v, u);
+    while (list.count % BLOCK_PX) append(&list, &x, &y, 1, v, u);
 }
 
 /* List the pixels of markers without gaps but in their last blocks.

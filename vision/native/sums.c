@@ -70,40 +70,53 @@ int32_t residuals(const MarkerBlocks *given, const float *solutions, float *left
     return 0;
 }
 
-/* Sums over the cells (n, n) of a marker: of residuals, of pixels that have a weight, and of all pixels. */
-typedef struct { double *left, *used, *read; int32_t n; } CellSums;
+/* Sums over the cells of a marker, of every fourth pixel each, so that no addition waits for that of the pixel before:
+ * residuals, pixels that have a weight, and all pixels. Behind the cells is a place for pixels beside the marker. */
+enum { TURNS = 4, CELLS_AND_BESIDE = MAX_CELLS * MAX_CELLS + 1 };
+typedef struct { double left; int32_t used, read; } CellSum;
+typedef struct { CellSum of[CELLS_AND_BESIDE][TURNS]; int32_t n; } CellSums;
 
 /* Add residuals to the cells that the first `count` of their pixels lie in. */
-static void add_to_cells(const float *places, const float *weights, Floats left, int64_t count, CellSums sums) {
-    const Floats half = all((float)sums.n / 2);
-    const Floats across = load(places) * (float)sums.n + half, down = load(places + BLOCK_PX) * (float)sums.n + half;
-    const Ints column = whole(across), row = whole(down), cell = row * sums.n + column;
-    const Ints inside = (across >= 0) & (down >= 0) & (column < sums.n) & (row < sums.n);
+INLINE void add_to_cells(const float *places, const float *weights, Floats left, int64_t count, CellSums *sums) {
+    const int32_t n = sums->n;
+    const Floats half = all((float)n / 2);
+    const Floats across = load(places) * (float)n + half, down = load(places + BLOCK_PX) * (float)n + half;
+    const Ints column = whole(across), row = whole(down);
+    const Ints inside = (across >= 0) & (down >= 0) & (column < n) & (row < n);
+    const Ints cell = ((row * n + column) & inside) | (n * n & ~inside);
     for (int64_t i = 0; i < count; i++) {
-        if (!inside[i]) continue;
-        sums.left[cell[i]] += (double)left[i];
-        sums.used[cell[i]] += weights[i] > 0;
-        sums.read[cell[i]] += 1;
+        CellSum *sum = &sums->of[cell[i]][i % TURNS];
+        sum->left += (double)left[i];
+        sum->used += weights[i] > 0;
+        sum->read += 1;
     }
 }
 
-/* Add up residuals over the cells of each marker. All results are zero at first.
+/* Add up residuals over the cells of each marker.
  *
  * sums, used and read (count, n, n) are the residuals over each cell, the number of its pixels that have a weight, and that
  * of all its pixels. peaks (count,) are the largest absolute residuals of a pixel. Returns 0 or an error. */
 int32_t add_over_cells(const MarkerBlocks *given, const float *solutions, int32_t n, double *sums, double *used,
                        double *read, double *peaks) {
     if (n <= 0 || n > MAX_CELLS || !are_bounds_valid(given)) return FIT_INVALID_SIZE;
+    CellSums own;
+    own.n = n;
     for (int64_t k = 0; k < given->count; k++) {
-        const int64_t first = k * n * n;
         Floats largest = {0};
         const int64_t begin = given->bounds[k] * BLOCK_PX, end = begin + given->counts[k];
-        const CellSums own = {sums + first, used + first, read + first, n};
+        memset(own.of, 0, ((size_t)n * (size_t)n + 1) * sizeof own.of[0]);
         for (int64_t at = begin; at < end; at += LANES) {
             const float *columns = columns_at(given, at), *places = given->places + at / BLOCK_PX * (2 * BLOCK_PX);
             const Floats left = residuals_of(columns, solutions + k * UNKNOWNS);
             largest = larger(largest, absolute(left));
-            add_to_cells(places + at % BLOCK_PX, columns + BLACK * BLOCK_PX, left, end - at < LANES ? end - at : LANES, own);
+            add_to_cells(places + at % BLOCK_PX, columns + BLACK * BLOCK_PX, left, end - at < LANES ? end - at : LANES,
+                         &own);
+        }
+        for (int32_t cell = 0; cell < n * n; cell++, sums++, used++, read++) {
+            const CellSum *of = own.of[cell];
+            *sums = (of[0].left + of[1].left) + (of[2].left + of[3].left);
+            *used = of[0].used + of[1].used + of[2].used + of[3].used;
+            *read = of[0].read + of[1].read + of[2].read + of[3].read;
         }
         float peak = 0;
         for (int i = 0; i < LANES; i++) peak = largest[i] > peak ? largest[i] : peak;

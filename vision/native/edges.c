@@ -8,7 +8,7 @@
 
 #include <math.h>
 
-enum { SIDES = 4, MAX_NORMALS = 64, MAX_STEPS = 64, MAX_ROUNDS = 64 };
+enum { SIDES = 4, MAX_NORMALS = PLACES_AT_ONCE, MAX_STEPS = 64, MAX_ROUNDS = 64 };
 
 /* A side from its first corner on: unit vectors along it and outwards, and its length, px. */
 typedef struct { Place corner, along, outward; double length; } Side;
@@ -59,27 +59,33 @@ static Side side_of(const Place *corners, int number, double min_divisor) {
     return (Side){from, {u / length, v / length}, {v / length, -u / length}, length};
 }
 
-/* Find the edges on the normals of a side, up to `reach_px` on either side of it. */
+/* Find the edges on the normals of a side, up to `reach_px` on either side of it: at first all normals at one step. */
 static void read_normals(const uint8_t *image, int32_t width, int32_t height, Side side, double reach_px,
                          const EdgeParameters *given, int number, Normals *normals) {
     const double step_px = reach_px / given->steps;
-    for (int i = 0; i < given->normals; i++) {
-        const double at = (normals->along[i] + 0.5) * side.length;
-        const Place foot = {side.corner.u + at * side.along.u, side.corner.v + at * side.along.v};
-        double before = 0, total = 0, moment = 0, rise = 0;
-        for (int k = -given->steps; k <= given->steps; k++) {
-            const double out = k * step_px;
-            const Place place = {foot.u + out * side.outward.u, foot.v + out * side.outward.v};
-            const double grey = grey_at(image, width, height, place), brighter = larger(grey - before, 0.0);
-            before = grey;
-            if (k == -given->steps) continue;
-            rise += brighter;
-            total += brighter * brighter;
-            moment += brighter * brighter * (out - step_px / 2);
+    const int32_t count = given->normals;
+    double u[MAX_NORMALS], v[MAX_NORMALS], total[MAX_NORMALS] = {0}, moment[MAX_NORMALS] = {0}, rise[MAX_NORMALS] = {0};
+    float before[MAX_NORMALS], grey[MAX_NORMALS];
+    for (int k = -given->steps; k <= given->steps; k++) {
+        const double out = k * step_px, middle = out - step_px / 2;
+        for (int32_t i = 0; i < count; i++) {
+            const double at = (normals->along[i] + 0.5) * side.length;
+            u[i] = side.corner.u + at * side.along.u + out * side.outward.u;
+            v[i] = side.corner.v + at * side.along.v + out * side.outward.v;
         }
-        normals->edges[number][i] = moment / larger(total, given->min_divisor);
-        normals->weights[number][i] = sqrt(total);
-        normals->rises[number * given->normals + i] = rise;
+        read_grey(image, width, height, u, v, count, grey);
+        for (int32_t i = 0; i < count && k > -given->steps; i++) {
+            const double difference = (double)grey[i] - (double)before[i], brighter = difference > 0 ? difference : 0.0;
+            rise[i] += brighter;
+            total[i] += brighter * brighter;
+            moment[i] += brighter * brighter * middle;
+        }
+        memcpy(before, grey, sizeof before);
+    }
+    for (int32_t i = 0; i < count; i++) {
+        normals->edges[number][i] = moment[i] / larger(total[i], given->min_divisor);
+        normals->weights[number][i] = sqrt(total[i]);
+        normals->rises[number * count + i] = rise[i];
     }
 }
 

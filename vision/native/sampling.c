@@ -25,6 +25,20 @@ static ToImage to_quad(const double *corners) {
                      {down.u + h * fourth.u, down.v + h * fourth.v}, g, h};
 }
 
+/* Add the grey levels at the places (x, y) of one line of a grid to sums (count,); x (count,) are `stride` apart. */
+static void add_line(const uint8_t *image, int32_t width, int32_t height, const ToImage *to, const double *x, int32_t stride,
+                     double y, int32_t count, float *sums) {
+    double u[PLACES_AT_ONCE], v[PLACES_AT_ONCE];
+    float grey[PLACES_AT_ONCE];
+    for (int32_t i = 0; i < count; i++) {
+        const double at = x[i * stride], per = 1 / away_from_zero(1 + to->g * at + to->h * y);
+        u[i] = (to->first.u + at * to->right.u + y * to->down.u) * per;
+        v[i] = (to->first.v + at * to->right.v + y * to->down.v) * per;
+    }
+    read_grey(image, width, height, u, v, count, grey);
+    for (int32_t i = 0; i < count; i++) sums[i] += grey[i];
+}
+
 /* Read quadrilaterals (count, 4, 2), px, on the grid of all pairs of places `at` (fine * side,) along the unit square.
  *
  * levels (count, side, side) are means over fine x fine neighbours. Returns 0 or an error. */
@@ -32,18 +46,17 @@ int32_t sample_squares(const uint8_t *image, int32_t width, int32_t height, cons
                        const double *at, int32_t side, int32_t fine, float *levels) {
     if (width <= 0 || height <= 0 || width > MAX_SIDE_PX || height > MAX_SIDE_PX || count < 0) return INVALID_SIZE;
     if (side <= 0 || fine <= 0 || side > MAX_PLACES / fine) return INVALID_PARAMETERS;
-    for (int64_t k = 0; k < count; k++) {
-        const ToImage to = to_quad(corners + 8 * k);
-        for (int32_t cell = 0; cell < side * side; cell++) {
-            const double *xs = at + cell % side * fine, *ys = at + cell / side * fine;
-            float sum = 0;
+    for (int64_t line = 0; line < count * side; line++) {
+        const ToImage to = to_quad(corners + line / side * 8);
+        const double *ys = at + line % side * fine;
+        for (int32_t column = 0; column < side; column += PLACES_AT_ONCE) {
+            const int32_t few = side - column < PLACES_AT_ONCE ? side - column : PLACES_AT_ONCE;
+            float sums[PLACES_AT_ONCE] = {0};
             for (int32_t i = 0; i < fine * fine; i++) {
-                const double x = xs[i % fine], y = ys[i / fine], per = 1 / away_from_zero(1 + to.g * x + to.h * y);
-                const Place place = {(to.first.u + x * to.right.u + y * to.down.u) * per,
-                                     (to.first.v + x * to.right.v + y * to.down.v) * per};
-                sum += grey_at(image, width, height, place);
+                const double *xs = at + column * fine + i % fine;
+                add_line(image, width, height, &to, xs, fine, ys[i / fine], few, sums);
             }
-            *levels++ = sum / (float)(fine * fine);
+            for (int32_t i = 0; i < few; i++) *levels++ = sums[i] / (float)(fine * fine);
         }
     }
     return 0;

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from skyherd.geometry import Array, IntArray, to_complex
+from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.markers.dictionary import all_marker_cells, cells_per_side
 from skyherd.vision.blurred_cells import blurred_darkness, standardised
 from skyherd.vision.grey import Image, sample_squares
@@ -42,6 +42,9 @@ little on the blur, and a smaller ratio needs more memory."""
 MIN_CELL_DEVIATION = 1.5
 """Smallest standard deviation of a quadrilateral's cells, grey levels. Chosen: uniform ground and noise have
 less."""
+
+ROUNDING = 1e-4
+"""Error of a correlation in single precision, at most. Derived: 400 products of 6e-8 of themselves."""
 
 MIN_WHITE = 1.0
 """Smallest white level in the divisor of contrasts, grey levels. Chosen: markers are printed on white."""
@@ -94,11 +97,12 @@ def decode_quads(
     n_cells = cells_per_side(dictionary)
     cells = read_cells(image, quads_px, n_cells)
     cells_px = np.abs(np.roll(corners, 1, axis=1) - corners).mean(axis=1) / n_cells
-    samples = _Samples.of(cells)
-    usual = _most_alike(samples, dictionary, sigma_px / cells_px)
-    blurred = _most_alike(samples, dictionary, np.full(cells_px.size, BLURRED_CELLS))
-    is_blurred = (blurred.likeness > usual.likeness) & (blurred.likeness >= BLURRED_CORRELATION)
-    found = usual.put(np.flatnonzero(is_blurred), blurred.take(is_blurred))
+    samples, buckets = _Samples.of(cells), _buckets(sigma_px / cells_px)
+    found = _most_alike(samples, dictionary, buckets)
+    rows = np.flatnonzero(_may_be_blurred(found.likeness, dictionary, buckets))
+    blurred = _most_alike(samples.take(rows), dictionary, _buckets(np.full(rows.size, BLURRED_CELLS)))
+    is_blurred = (blurred.likeness > found.likeness[rows]) & (blurred.likeness >= BLURRED_CORRELATION)
+    found = found.put(rows[is_blurred], blurred.take(is_blurred))
     marker, turn = np.divmod(found.codes, 4)
     order = (turn[:, None] + np.arange(4)) % 4
     turned_px = np.take_along_axis(quads_px, order[..., None], axis=1)
@@ -107,7 +111,7 @@ def decode_quads(
 
 
 @dataclass(frozen=True)
-class _Samples:
+class _Samples(RowRecord):
     """Cells of N quadrilaterals.
 
     Attributes:
@@ -141,20 +145,48 @@ class _Likeness(RowRecord):
     print_contrasts: Array
 
 
-def _most_alike(samples: _Samples, dictionary: str, blurs_cells: Array) -> _Likeness:
-    """Return the best codes of N quadrilaterals under blurs (N,), standard deviations in cells."""
-    count, n2 = samples.standard.shape
-    best, likeness = np.empty(count, dtype=np.int64), np.empty(count)
-    contrast, white = np.empty(count), np.empty(count)
-    buckets = np.rint(np.log(blurs_cells) / np.log(BLUR_STEP)).astype(int)
-    for bucket in np.unique(buckets):
-        rows = np.flatnonzero(buckets == bucket)
-        codes = _codes(dictionary, int(bucket))
-        best[rows], products = library().best_codes(samples.standard[rows], codes.columns)
-        likeness[rows] = products / n2
-        contrast[rows] = likeness[rows] * samples.deviations[rows] / codes.deviations[best[rows]]
-        white[rows] = samples.means[rows] + contrast[rows] * codes.means[best[rows]]
-    return _Likeness(best, likeness, contrast / np.maximum(white, MIN_WHITE))
+def _most_alike(samples: _Samples, dictionary: str, buckets: IntArray) -> _Likeness:
+    """Return the best codes of N quadrilaterals under tabulated blurs of numbers (N,)."""
+    order = np.argsort(buckets, kind="stable")
+    ordered, products = samples.standard[order], np.empty(len(order))
+    best, means, deviations = np.empty(len(order), dtype=np.int64), np.empty(len(order)), np.empty(len(order))
+    numbers, counts = np.unique(buckets, return_counts=True)
+    ends = counts.cumsum()
+    for number, count, end in zip(numbers.tolist(), counts.tolist(), ends.tolist(), strict=True):
+        codes, here = _codes(dictionary, number), slice(end - count, end)
+        best[here], products[here] = library().best_codes(ordered[here], codes.columns)
+        means[here], deviations[here] = codes.means[best[here]], codes.deviations[best[here]]
+    likeness = products / samples.standard.shape[1]
+    contrasts = likeness * samples.deviations[order] / deviations
+    whites = samples.means[order] + contrasts * means
+    found = _Likeness(best, likeness, contrasts / np.maximum(whites, MIN_WHITE))
+    return found.take(np.argsort(order, kind="stable"))
+
+
+def _may_be_blurred(likeness: Array, dictionary: str, buckets: IntArray) -> BoolArray:
+    """Return which quadrilaterals (N,) may correlate with a blurred code by `BLURRED_CORRELATION`.
+
+    Args:
+        likeness: (N,) largest correlations with codes under tabulated blurs.
+        dictionary: of the codes.
+        buckets: (N,) numbers of these blurs.
+    """
+    numbers, rows = np.unique(buckets, return_inverse=True)
+    least = np.array([_least_likeness(dictionary, number) for number in numbers.tolist()])
+    return np.asarray(likeness >= least[rows])
+
+
+@lru_cache(maxsize=128)
+def _least_likeness(dictionary: str, bucket: int) -> float:
+    """Return the least likeness under a tabulated blur of what has `BLURRED_CORRELATION` with a blurred code.
+
+    Correlations are cosines of angles between standardised rows, which obey the triangle inequality. The
+    angle from a row to a code is at most that to the blurred code and that between both codes.
+    """
+    usual, blurred = _codes(dictionary, bucket).columns, blurred_codes(dictionary, BLURRED_CELLS).columns
+    alike = (usual.columns * blurred.columns)[:, : usual.count].sum(axis=0, dtype=float).min()
+    cosine = min(alike / len(usual.columns), 1.0)
+    return math.cos(math.acos(BLURRED_CORRELATION) + math.acos(cosine)) - ROUNDING
 
 
 @dataclass(frozen=True)
@@ -174,12 +206,12 @@ class BlurredCodes:
 
 def blurred_codes(dictionary: str, blur_cells: float) -> BlurredCodes:
     """Return the codes of a dictionary under the tabulated blur nearest to `blur_cells`."""
-    return _codes(dictionary, _bucket(blur_cells))
+    return _codes(dictionary, int(_buckets(np.array(blur_cells))))
 
 
-def _bucket(blur_cells: float) -> int:
-    """Return the number of the tabulated blur nearest to a blur, in cells."""
-    return round(math.log(blur_cells) / math.log(BLUR_STEP))
+def _buckets(blurs_cells: Array) -> IntArray:
+    """Return the numbers (N,) of the tabulated blurs nearest to blurs (N,), in cells."""
+    return np.rint(np.log(blurs_cells) / math.log(BLUR_STEP)).astype(int)
 
 
 @lru_cache(maxsize=32)

@@ -8,7 +8,15 @@ from skyherd.markers.dictionary import cells_per_side, dictionary_size
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.native.library import library
 from skyherd.vision.native.search_library import CodeColumns
-from skyherd.vision.search.decode import MIN_CORRELATION, decode_quads
+from skyherd.vision.search import decode
+from skyherd.vision.search.decode import (
+    BLUR_STEP,
+    BLURRED_CELLS,
+    BLURRED_CORRELATION,
+    MIN_CORRELATION,
+    blurred_codes,
+    decode_quads,
+)
 
 SIGMA_PX = 0.85
 OWN_MIRROR_IMAGES = {8, 9, 17, 47}  # of 4X4_50 from the bits
@@ -126,3 +134,49 @@ def test_first_of_equal_codes_is_the_best() -> None:
     codes[[19, 20, 51, 77]] = 1
     best, _ = library().best_codes(np.ones((3, 5), dtype=np.float32), CodeColumns.of(codes))
     assert best.tolist() == [19, 19, 19]
+
+
+@pytest.mark.parametrize("dictionary", ["4X4_50", "APRILTAG_36h11"])
+def test_no_quad_that_may_be_blurred_is_left_out(dictionary) -> None:
+    """Rows with just the least correlation with a blurred code; some come close to the bound on the other."""
+    rng, gaps = np.random.default_rng(9), []
+    blurred = blurred_codes(dictionary, BLURRED_CELLS).columns.columns.T[:200].astype(float)
+    n2 = blurred.shape[1]
+    for bucket in range(-12, 4):
+        least = decode._least_likeness(dictionary, bucket)
+        usual = (
+            blurred_codes(dictionary, BLUR_STEP**bucket).columns.columns[:, : len(blurred)].T.astype(float)
+        )
+        away = np.concatenate([blurred - usual, rng.normal(size=blurred.shape)])
+        codes = np.tile(blurred, (2, 1))
+        away -= (away * codes).sum(axis=1, keepdims=True) * codes / n2
+        away *= np.sqrt(n2 / np.maximum((away**2).sum(axis=1, keepdims=True), 1e-9))
+        rows = BLURRED_CORRELATION * codes + np.sqrt(1 - BLURRED_CORRELATION**2) * away
+        rows = rows[(away**2).sum(axis=1) > n2 / 2]
+        of_usual = blurred_codes(dictionary, BLUR_STEP**bucket).columns
+        _, products = library().best_codes(rows.astype(np.float32), of_usual)
+        gaps.append((products / n2).min() - least)
+    assert min(gaps) >= 0
+    assert min(gaps) < 0.01
+
+
+def test_blurred_codes_are_compared_only_where_they_may_count(place_markers, draw_markers, monkeypatch):
+    """Without the bound, all quadrilaterals are compared with blurred codes, with the same result."""
+    rng = np.random.default_rng(10)
+    matrices, corners, size = grid(place_markers, 14.0, rng.uniform(-np.pi, np.pi, 50))
+    image = draw_markers(matrices, range(50), size, rng, psf_px=1.0)
+    quads = np.concatenate([corners, corners + rng.uniform(-4, 4, (50, 1, 2))])
+    found, asked = [], []
+    original = decode._most_alike
+
+    def counted(samples, dictionary, buckets):
+        asked.append(len(buckets))
+        return original(samples, dictionary, buckets)
+
+    monkeypatch.setattr(decode, "_most_alike", counted)
+    for least in (decode._least_likeness, lambda *_: -1.0):
+        monkeypatch.setattr(decode, "_least_likeness", least)
+        found.append(decode_quads(image, quads, "4X4_50", 0.6))
+    assert asked[1] < asked[0] == asked[2] == asked[3]
+    np.testing.assert_array_equal(found[0].ids, found[1].ids)
+    np.testing.assert_array_equal(found[0].correlations, found[1].correlations)

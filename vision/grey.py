@@ -1,6 +1,5 @@
 """The image type of all detectors, its validation, and downsampling by an integer factor."""
 
-import cv2
 import numpy as np
 
 from skyherd.errors import InputError
@@ -28,16 +27,14 @@ def check_grey(image: Image) -> Image:
 
 
 def block_means(image: Image, side: int) -> Image:
-    """Return the image downsampled by `side`: rounded means over blocks of `side` x `side` pixels.
+    """Return the image downsampled by `side`, 2 or more: rounded means over blocks of that side.
 
     Rows and columns beyond the last whole block are ignored. An image smaller than one block gives shape
     (0, 0).
     """
-    height, width = (length // side for length in image.shape)
-    if min(height, width) == 0:
+    if min(image.shape) < side:
         return np.zeros((0, 0), dtype=np.uint8)
-    whole = image[: height * side, : width * side]
-    return np.asarray(cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    return library().block_means(np.ascontiguousarray(image), side)
 
 
 def sample_squares(image: Image, corners_px: Array, at: Array, fine: int = 1) -> Floats:

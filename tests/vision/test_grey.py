@@ -9,7 +9,7 @@ from tests.helpers.native_builds import builds
 from skyherd.errors import InputError
 from skyherd.vision import grey
 from skyherd.vision.grey import block_means, sample_squares
-from skyherd.vision.native.library import declared
+from skyherd.vision.native.library import declared, library
 
 
 @pytest.mark.parametrize("side", [2, 3, 4])
@@ -26,6 +26,35 @@ def test_pixel_is_the_mean_of_its_block(side: int) -> None:
 
 def test_image_smaller_than_a_block_becomes_empty() -> None:
     assert block_means(np.zeros((3, 9), np.uint8), 4).shape == (0, 0)
+
+
+@pytest.mark.parametrize("side", [2, 3, 4, 8, 16])
+def test_block_means_of_all_builds_equal_opencv(side: int) -> None:
+    """Equal bytes, halves included: sums of low grey levels are often halves of a block's pixels."""
+    rng = np.random.default_rng([7, side])
+    for image in (
+        rng.integers(0, 256, (95, 131), dtype=np.uint8),
+        rng.integers(0, 3, (64, 48), dtype=np.uint8),
+    ):
+        height, width = (length // side for length in image.shape)
+        whole = image[: height * side, : width * side]
+        expected = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
+        for build in builds("vision", declared).values():
+            np.testing.assert_array_equal(build.block_means(image, side), expected)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (6, 1), (37, 90)])
+def test_enlarged_images_of_all_builds_equal_opencv(size: tuple[int, int]) -> None:
+    image = np.random.default_rng([8, *size]).integers(0, 256, size, dtype=np.uint8)
+    expected = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+    for build in builds("vision", declared).values():
+        np.testing.assert_array_equal(build.enlarged(image), expected)
+
+
+@pytest.mark.parametrize("side", [1, 6, 300])
+def test_blocks_that_do_not_fit_are_rejected(side: int) -> None:
+    with pytest.raises(InputError, match="an invalid size"):
+        library().block_means(np.zeros((5, 600), np.uint8), side)
 
 
 def some_quads(count: int, rng: np.random.Generator) -> np.ndarray:

@@ -23,6 +23,10 @@ static int32_t join(Region *regions, int32_t a, int32_t b) {
     const Region *joined = regions + other;
     kept->left = smaller(kept->left, joined->left);
     kept->right = larger(kept->right, joined->right);
+    kept->filled += joined->filled;
+    /* If both have runs in the row at hand, that of the left one counts: the other may lie in a hole that ends here. */
+    if (kept->bottom == joined->bottom) kept->row_end = smaller(kept->row_end, joined->row_end);
+    else if (kept->bottom < joined->bottom) kept->row_end = joined->row_end;
     kept->bottom = larger(kept->bottom, joined->bottom);
     regions[other].parent = first;
     return first;
@@ -48,10 +52,12 @@ static int32_t runs_of_row(const uint8_t *row, int32_t width, int32_t y, Run *ru
 static int32_t extend(Region *regions, int32_t count, Run *run) {
     if (run->label < 0) {
         run->label = count;
-        regions[count] = (Region){count, run->from, run->to - 1, run->y, run->y, run->from};
+        regions[count] = (Region){count, run->from, run->to - 1, run->y, run->y, run->from, run->to, run->to - run->from};
         return count + 1;
     }
     Region *region = regions + run->label;
+    region->filled += run->to - (region->bottom == run->y ? region->row_end : run->from);
+    region->row_end = run->to;
     region->left = smaller(region->left, run->from);
     region->right = larger(region->right, run->to - 1);
     region->bottom = run->y;

@@ -88,6 +88,17 @@ static int prepare(const uint8_t *image, const uint8_t *places, int32_t width, i
     return threshold(image, places, width, height, parameters, work);
 }
 
+/* Return the number of points of a region's boundary up to which it may be compact and large enough, or 0 if it is neither.
+ *
+ * The area within a boundary is at most that of its bounding box and its pixels', and limits its length. A boundary leads
+ * from one side of the box to the other and back. */
+static double longest_boundary(const Region *region, const SearchParameters *parameters) {
+    const int32_t wide = region->right - region->left, high = region->bottom - region->top;
+    const double box = (double)wide * high, filled = (double)region->filled, most = box < filled ? box : filled;
+    const double longest = sqrt(most / parameters->min_compactness);
+    return most > parameters->min_area_px2 && longest >= 2.0 * (wide > high ? wide : high) ? longest : 0.0;
+}
+
 /* Append the quadrilaterals of a mask. Return their new number, or an error. */
 static int32_t append_quads(const Mask *mask, double growth_px, const SearchParameters *parameters, Workspace *work,
                             double *corners, int32_t *first_columns, int32_t found, int32_t max_quads) {
@@ -95,12 +106,9 @@ static int32_t append_quads(const Mask *mask, double growth_px, const SearchPara
     for (int32_t label = 0; label < count; label++) {
         const Region *region = work->regions + label;
         if (region->parent != label) continue;
-        /* The area within a boundary is at most that of its bounding box, and limits the boundary's length. */
-        const double most = (double)(region->right - region->left) * (region->bottom - region->top);
-        if (!(most > parameters->min_area_px2)) continue;
-        const double longest = sqrt(most / parameters->min_compactness), room = (double)work->max_points;
+        const double longest = longest_boundary(region, parameters), room = (double)work->max_points;
         Boundary boundary;
-        if (!trace(mask, region, (ptrdiff_t)(longest < room ? longest : room), work, &boundary)) continue;
+        if (longest == 0 || !trace(mask, region, (ptrdiff_t)(longest < room ? longest : room), work, &boundary)) continue;
         if (boundary.count < parameters->min_points) continue;
         const double area = enclosed_area(boundary), around = boundary.count;
         if (!(area > parameters->min_area_px2 && area > parameters->min_compactness * around * around)) continue;

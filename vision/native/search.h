@@ -4,7 +4,8 @@
  *   1. means.c    adaptive threshold by running box sums, and erosion of the dark pixels
  *   2. regions.c  horizontal runs of dark pixels, joined to regions; the outer boundary of a region
  *   3. quads.c    four corner points on a boundary, a line through each side, their intersections
- * search_boundaries() uses steps 1 and 2 alone. stretch() in stretch.c prepares an image for the search of faint markers,
+ * search_boundaries() uses steps 1 and 2 alone. block_means() and enlarge_twice() in resize.c change an image's size,
+ * stretch() in stretch.c prepares it for the search of faint markers,
  * sample_squares() in sampling.c reads what is within quadrilaterals, best_codes() in decode.c finds the markers that they
  * resemble, and fit_edges() in edges.c refines their corners.
  *
@@ -63,8 +64,11 @@ typedef struct { uint8_t *bytes; int32_t width, height; ptrdiff_t stride; } Mask
 /* Row `from <= x < to` of dark pixels, and its region. */
 typedef struct { int32_t from, to, y, label; } Run;
 
-/* Bounding box of a region and its first pixel in row order; `parent` is the label of a region joined with it. */
-typedef struct { int32_t parent, left, right, top, bottom, first_x; } Region;
+/* Bounding box of a region and its first pixel in row order; `parent` is the label of a region joined with it.
+ *
+ * `filled` is at least the number of pixels within its outer boundary: what lies between two runs of a row that are joined by
+ * rows above may be a hole, and nothing else can be. `row_end` is where the runs in the row `bottom` end so far. */
+typedef struct { int32_t parent, left, right, top, bottom, first_x, row_end; int64_t filled; } Region;
 
 /* Rows, planes and lists of one search. */
 typedef struct {
@@ -111,6 +115,8 @@ int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width,
 int32_t search_boundaries(const uint8_t *image, int32_t width, int32_t height, int32_t darker, int32_t min_side_px,
                           uint8_t *workspace, size_t workspace_bytes, Point *points, int64_t max_points,
                           int32_t *counts, int32_t max_regions);
+int32_t block_means(const uint8_t *image, int32_t width, int32_t height, int32_t side, uint16_t *sums, uint8_t *means);
+int32_t enlarge_twice(const uint8_t *image, int32_t width, int32_t height, uint16_t *memory, uint8_t *enlarged);
 int32_t sample_squares(const uint8_t *image, int32_t width, int32_t height, const double *corners, int64_t count,
                        const double *at, int32_t side, int32_t fine, float *levels);
 int32_t best_codes(const float *samples, int64_t rows, int32_t cells, const float *columns, int64_t count, int64_t stride,

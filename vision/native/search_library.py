@@ -115,6 +115,35 @@ class SearchFunctions:
         ends = np.cumsum(counts[:found])
         return np.split(points[: ends[-1] if found else 0], ends[:-1]) if found else []
 
+    def block_means(self, image: Image, side: int) -> Image:
+        """Return the rounded means over blocks of `side` x `side` pixels, 2 or more, of an image.
+
+        Raises:
+            InputError: the image has another type, shape or memory layout, or is smaller than a block.
+        """
+        check_plane("image", image, None)
+        (height, width), sums = image.shape, np.empty(image.shape[1], dtype=np.uint16)
+        means = np.empty((height // side, width // side), dtype=np.uint8)
+        given = image.ctypes.data, width, height, side, sums.ctypes.data
+        check(self.functions.block_means(*given, means.ctypes.data), ERRORS)
+        return means
+
+    def enlarged(self, image: Image) -> Image:
+        """Return an image of twice the size by bilinear interpolation.
+
+        Raises:
+            InputError: the image has another type, shape or memory layout, or is too large.
+        """
+        check_plane("image", image, None)
+        height, width = image.shape
+        memory, twice = (
+            np.empty(6 * width, dtype=np.uint16),
+            np.empty((2 * height, 2 * width), dtype=np.uint8),
+        )
+        given = image.ctypes.data, width, height, memory.ctypes.data
+        check(self.functions.enlarge_twice(*given, twice.ctypes.data), ERRORS)
+        return twice
+
     def stretched(self, image: Image, gains: Floats, shifts: Floats, is_sharp: Image) -> tuple[Image, Image]:
         """Return two images of gains times grey levels plus shifts, rounded and within 0 to 255.
 
@@ -239,6 +268,8 @@ def search_signatures() -> dict[str, Signature]:
         "search_workspace_bytes": (size, integer, integer),
         "search_quads": (integer, *search, pointer, pointer, integer),
         "search_boundaries": (integer, *boundaries),
+        "block_means": (integer, pointer, *(integer,) * 3, *(pointer,) * 2),
+        "enlarge_twice": (integer, pointer, *(integer,) * 2, *(pointer,) * 2),
         "stretch": (integer, pointer, *(integer,) * 2, *(pointer,) * 3, *(integer,) * 2, *(pointer,) * 2),
         "fit_edges": (
             integer,

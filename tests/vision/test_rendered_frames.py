@@ -14,11 +14,12 @@ from skyherd.control import AerialController, Hover, SafetyRadius, Template
 from skyherd.datasets import make_mission
 from skyherd.errors import InputError
 from skyherd.loop import run_steps
-from skyherd.markers.dictionary import card_side, dictionary_names, pose_of_corners
+from skyherd.markers.dictionary import card_side, dictionary_names, mirror_symmetric_ids, pose_of_corners
 from skyherd.messages import Detections
 from skyherd.render import Camera, CameraPose, Ground, Renderer, Sensor, Shot, project_markers
 from skyherd.vision import create_detector, explain_mirrored
 from skyherd.vision.detectors.accuracy import load_accuracy
+from skyherd.vision.photometric.detector import PhotometricDetector
 
 DICTIONARY, IMAGE_PX, PER_FRAME = "4X4_50", 800, 16
 SIDES_PX = (15.0, 16.0, 18.0, 21.0, 25.0, 30.0, 37.0, 45.0, 60.0)
@@ -253,6 +254,18 @@ def test_four_markers_of_4x4_50_are_symmetric() -> None:
         found, read, *_ = dictionary.identify(np.ascontiguousarray(bits[:, ::-1]), 0.6)
         alike += [(marker_id, read)] if found else []
     assert alike == [(8, 8), (9, 9), (17, 17), (47, 47)]
+    assert sorted(mirror_symmetric_ids("4X4_50")) == [8, 9, 17, 47]
+
+
+@pytest.mark.parametrize(("ids", "is_mirrored"), [([9], False), ([8, 9, 17], False), ([8, 9, 12], True)])
+def test_symmetric_markers_do_not_show_a_mirrored_image(renderer, monkeypatch, ids, is_mirrored) -> None:
+    """A small one may be detected in the mirror image alone, by chance."""
+    nothing, there = (
+        create_detector(dictionary=DICTIONARY).detect(picture(renderer, some)) for some in ([], ids)
+    )
+    answers = [there, nothing]
+    monkeypatch.setattr(PhotometricDetector, "detect", lambda *given: answers.pop(0))
+    assert (explain_mirrored(picture(renderer, []), DICTIONARY) is not None) == is_mirrored
 
 
 @pytest.mark.parametrize("name", ["triangle", "star"])

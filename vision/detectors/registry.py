@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from skyherd.errors import InputError, SkyherdError
-from skyherd.markers.dictionary import with_border
+from skyherd.markers.dictionary import mirror_symmetric_ids, with_border
 from skyherd.messages import Detections
 from skyherd.messages.checks import check_flags, check_texts
 from skyherd.plugins import import_factory
@@ -236,17 +236,21 @@ def explain_mirrored(image: Image, dictionary: str) -> str | None:
     """Return a message to the user if a grey image (height, width) is mirrored, or None.
 
     A mirrored marker is not a marker of its dictionary, except for the few symmetric ones (8, 9, 17 and 47 of
-    4X4_50). An image therefore counts as mirrored if more markers are detected in its mirror image.
+    4X4_50). An image therefore counts as mirrored if more of the others are detected in its mirror image.
 
     Raises:
         InputError: the image is not a grey image of uint8, or the dictionary is unknown.
     """
     image, detector = check_grey(image), PhotometricDetector(dictionary, following=False, repeats=True)
-    flipped = len(detector.detect(np.ascontiguousarray(image[:, ::-1])))
+    flipped = detector.detect(np.ascontiguousarray(image[:, ::-1]))
+    symmetric = mirror_symmetric_ids(dictionary)
     # The mirror image of most images has no marker, and the second detection is then not needed.
-    if not flipped or flipped <= (found := len(detector.detect(image))):
+    if not len(flipped.without(symmetric)):
         return None
-    return describe_mirrored(found, flipped)
+    found = detector.detect(image)
+    if len(flipped.without(symmetric)) <= len(found.without(symmetric)):
+        return None
+    return describe_mirrored(len(found), len(flipped))
 
 
 def describe_mirrored(found: int, flipped: int) -> str:

@@ -168,6 +168,14 @@ def all_marker_cells(name: str) -> npt.NDArray[np.bool_]:
 
 
 @cache
+def mirror_symmetric_ids(name: str) -> frozenset[int]:
+    """Return the markers of a dictionary whose mirror image is one of its markers, in any quarter turn."""
+    cells = all_marker_cells(name)
+    known = {np.rot90(marker, turn).tobytes() for marker in cells for turn in range(4)}
+    return frozenset(row for row, marker in enumerate(cells) if marker[:, ::-1].tobytes() in known)
+
+
+@cache
 def code_distance(name: str) -> int:
     """Return the minimum Hamming distance between two markers of a dictionary at any rotation.
 

@@ -10,8 +10,8 @@ With the seen motions o and the commanded motions c of the last steps as vectors
 
     |o| ≥ RESPONSE |c|,   |c| ≥ RESPONSE |o|,   o · c ≥ ALIKE |o| |c|
 
-hold for a robot that follows its commands, also if it drives up to five times faster or slower than told, or
-if its marker is mounted turned by less than 60°. The motion may have one of the lags `LAGS_S` behind the
+hold for a robot that follows its commands. It may drive up to five times faster or slower than told, and its
+marker may be mounted turned by less than 60°. The motion may have one of the lags `LAGS_S` behind the
 commands. The displacement does not count for a unit that flies, since its own motion displaces the marker
 too.
 """

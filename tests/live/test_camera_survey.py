@@ -125,7 +125,7 @@ def test_overlap_and_lost_robots_are_told_for_the_team() -> None:
     said = [f"{one.level}: {one.text}" for one in team_findings(left.lab, [set(left.seen), set(right.seen)])]
     assert said[0].startswith("problem: robots 3 seen by no camera")
     assert said[1] == "ok: cameras 0 and 1 share robots 1"
-    assert said[2].startswith("advice: cameras 1 share fewer than 2 robots")
+    assert said[2].startswith("advice: camera 1 shares fewer than 2 robots")
     both = survey_of([picture({0: PLACES[0], 1: PLACES[1], 3: PLACES[3]})] * 2, lab="webcams")
     levels = [one.level for one in team_findings(left.lab, [set(left.seen), set(both.seen)])]
     assert levels == [Level.PROBLEM, Level.GOOD]

@@ -180,7 +180,7 @@ class TestCockpit:
         assert not state["units"][0]["old"]
         said = "\n".join(finding["text"] for finding in state["findings"])
         assert "cameras 0 and 1 share robots 2, 3" in said
-        assert "cameras 2 share fewer than 2 robots" in said
+        assert "camera 2 shares fewer than 2 robots" in said
         assert "robots 5, 6, 7, 8, 10" in said and "controlled by no unit" in said
 
     def test_old_picture_is_marked_and_counts_as_blind(self, tmp_path, make_detections) -> None:

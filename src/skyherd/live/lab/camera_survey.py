@@ -327,7 +327,8 @@ def team_findings(lab: Lab, seen: Sequence[AbstractSet[int]]) -> Iterator[Findin
         joined |= {unit for edge in edges if edge & joined for unit in edge}
     apart = sorted(set(range(len(seen))) - joined)
     if apart:
-        text = f"cameras {_named(apart)} share fewer than {MIN_SHARED} robots with the others"
+        who = f"camera {_named(apart)} shares" if len(apart) == 1 else f"cameras {_named(apart)} share"
+        text = f"{who} fewer than {MIN_SHARED} robots with the others"
         yield Finding(Level.ADVICE, f"{text}: let their images overlap more")
 
 

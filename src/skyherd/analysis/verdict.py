@@ -161,7 +161,7 @@ def _usual_side_px(history: History) -> float:
     return float(np.median(seen)) if seen.size else 0.0
 
 
-def _usual_sides_px(history: History, part: BoolArray) -> Array:
+def _sides_by_unit_px(history: History, part: BoolArray) -> Array:
     """Return the median side (U,) of the markers in view of each unit, px; infinite without any in view."""
     seen = [one[np.isfinite(one)] for one in _sides_px(history, part).swapaxes(0, 1)]
     return np.array([np.median(one) if one.size else np.inf for one in seen])
@@ -178,7 +178,7 @@ def _too_high(history: History) -> str | None:
     """Name the units that controlled no robot near the end, as their markers are too small to be detected."""
     if history.mission.scenario.perception == "ideal":
         return None
-    sides_px = _usual_sides_px(history, _last_part(history.times_s))
+    sides_px = _sides_by_unit_px(history, _last_part(history.times_s))
     idle: BoolArray = np.logical_not(history.controlled[_last_part(history.times_s)].any(axis=(0, 2)))
     units = [unit for unit in _alive(history) if idle[unit] and sides_px[unit] < MIN_MARKER_PX]
     if not units:

@@ -111,7 +111,7 @@ def _explained(error: Any, command: Any, context: Any, arguments: list[str]) -> 
     parameters = command.get_params(context)
     parameter = getattr(error, "param", None)
     if parameter is not None:
-        name, info = option_name(parameter), _info(command, parameter)
+        name, info = option_name(parameter), _declaration(command, parameter)
         if type(error).__name__ == "MissingParameter":
             return InputError(name, "missing", f"{_described(parameter)}; {_help(context)}")
         values = _values(command, context, parameter, arguments)
@@ -140,7 +140,7 @@ def _wrong_option(typed: str, command: Any, context: Any, parameters: Sequence[A
         return InputError(typed, f"no option of `{context.command_path}`", f"{allowed} {_help(context)}")
     if getattr(option, "is_flag", False):
         return InputError(typed, "takes no value", f"{typed} alone")
-    number = _number(option, _info(command, option))
+    number = _number(option, _declaration(command, option))
     allowed = number.allowed() if number else f"write `{typed} {option.metavar}`; {_help(context)}"
     return InputError(typed, "its value is missing", allowed)
 
@@ -170,7 +170,7 @@ def _values(command: Any, context: Any, parameter: Any, arguments: list[str]) ->
     return [str(value) for value in (given if isinstance(given, list | tuple) else [given])]
 
 
-def _info(command: Any, parameter: Any) -> tuple[type | None, ParameterInfo | None]:
+def _declaration(command: Any, parameter: Any) -> tuple[type | None, ParameterInfo | None]:
     """Return the type of an option or argument, or of its items, and its declaration; None if unknown."""
     declared = inspect.signature(command.callback).parameters.get(parameter.name)
     if declared is None:

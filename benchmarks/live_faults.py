@@ -99,6 +99,7 @@ class Team:
         woke: robots that were frozen when the stop came, with the times at which they woke up.
         turned_after_waking: whether a wheel of one of these turned after it woke up.
         see: filters the time at which an image seems to be taken; None loses the image.
+        driven: by robot, the one whose wheels its driver turns; a robot that is left out turns none.
     """
 
     def __init__(self, lab: Lab, settings: list[str], seed: int, air: Air | None = None) -> None:
@@ -134,6 +135,7 @@ class Team:
         self.errors: list[float] = []
         self.armed_s: float | None = 2.0
         self.see: Callable[[int, float], float | None] = lambda unit, time_s: time_s
+        self.driven = {robot: robot for robot in lab.ids}
 
     def start(self, name: str) -> Process:
         """Start a process, or restart it without memory."""
@@ -257,17 +259,18 @@ class Team:
 
     def _move(self) -> None:
         """Move robots by their last command, unless it is older than the keep-alive."""
-        told = []
+        told = dict.fromkeys(self.lab.ids, (0.0, 0.0))
         for robot, (v_mps, omega_radps, told_s) in self.wheels.items():
             live = self.now_s - told_s <= HOLD_S
-            told.append((v_mps, omega_radps) if live else (0.0, 0.0))
-            if any(told[-1]):
+            if live and robot in self.driven:
+                told[self.driven[robot]] = v_mps, omega_radps
+            if live and (v_mps or omega_radps):
                 blind_s = self.now_s - self.imaged_s[robot]
                 self.blind_s[robot] = max(self.blind_s[robot], blind_s)
                 if self.stopped_s is not None:
                     self.turned_s = max(self.turned_s or 0.0, self.now_s - self.stopped_s)
                 self.turned_after_waking |= self.now_s >= self.woke.get(robot, np.inf)
-        command = VelocityCommand(np.array(self.lab.ids), *np.array(told).T)
+        command = VelocityCommand(np.array(self.lab.ids), *np.array(list(told.values())).T)
         metrics = self.observer.observe(self.world.positions_m, {}, (), self.mission.template)
         self.errors.append(metrics.shape.error)
         self.world.advance(self.world.limit(command), self.time_s, PERIOD_S)

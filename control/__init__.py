@@ -40,7 +40,7 @@ from skyherd.control.rectification.rectifier import Rectifier, rectified
 from skyherd.control.robot_team import GoalFollowers, RobotClocks
 from skyherd.control.robots.goal_fusion import GoalInboxes
 from skyherd.control.robots.latency_compensation import LatencyCompensation
-from skyherd.control.robots.motion_check import LAGS_S, MotionCheck, SeenPose
+from skyherd.control.robots.motion_check import MotionChecks
 from skyherd.control.robots.unicycle import (
     MarkerGains,
     PixelGains,
@@ -65,7 +65,6 @@ from skyherd.control.tree.node_state import TreeSettings
 from skyherd.control.tree.protocol import TreeProtocol
 
 __all__ = [
-    "LAGS_S",
     "NO_ROBOTS",
     "AerialController",
     "AvoidanceRule",
@@ -89,7 +88,7 @@ __all__ = [
     "LatencyCompensation",
     "LeadRule",
     "MarkerGains",
-    "MotionCheck",
+    "MotionChecks",
     "NeighborMemory",
     "Perimeter",
     "PixelGains",
@@ -100,7 +99,6 @@ __all__ = [
     "RoleRule",
     "SafetyRadius",
     "Schedule",
-    "SeenPose",
     "Selection",
     "SelectionPolicy",
     "ShapeMotion",

@@ -103,12 +103,8 @@ class LatencyCompensation:
         Args:
             times_s: (T,) times of images. Those before the first remembered command count as its time.
         """
-        starts_s = np.array([knot[0] for knot in self._knots])
-        when_s = np.maximum(times_s - self.delay_s, starts_s[min(1, len(starts_s) - 1)])
-        knots = np.searchsorted(starts_s, when_s + TIME_TOLERANCE_S, side="right") - 1
-        poses = [self._pose_after(knot, time_s) for knot, time_s in zip(knots.tolist(), when_s, strict=True)]
-        headings_rad = np.array([heading_rad for _, heading_rad in poses], dtype=np.float64)
-        axles_m = np.array([place_m for place_m, _ in poses], dtype=np.complex128)
+        robots = self._knots[0][1].size
+        axles_m, headings_rad = self._poses_at(np.tile(times_s[:, None] - self.delay_s, robots))
         return axles_m + self.axis_offset_m * np.exp(1j * headings_rad), headings_rad
 
     def headings_rad(self, times_s: Array, robots: IntArray) -> Array:
@@ -130,11 +126,19 @@ class LatencyCompensation:
 
     def _motion_since(self, times_s: Array, now_s: float) -> tuple[ComplexArray, Array]:
         """Return marker motions (U, N), m, in the frames at `times_s` (U, N), and turns (U, N), rad."""
-        last = len(self._knots) - 1
-        place_m, heading_rad = self._pose_after(last, np.asarray(now_s))
+        place_m, heading_rad = self._pose_after(len(self._knots) - 1, np.asarray(now_s))
+        places_m, headings_rad = self._poses_at(np.minimum(times_s, now_s))
+        ahead = self.axis_offset_m
+        moved = place_m + ahead * np.exp(1j * heading_rad) - places_m - ahead * np.exp(1j * headings_rad)
+        return np.asarray(moved * np.exp(-1j * headings_rad)), np.asarray(heading_rad - headings_rad)
+
+    def _poses_at(self, times_s: Array) -> tuple[ComplexArray, Array]:
+        """Return positions (U, N), m, and headings (U, N), rad, of each robot at its times (U, N).
+
+        Times before the first remembered command count as its time.
+        """
         starts_s = np.array([knot[0] for knot in self._knots])
-        oldest_s = starts_s[1] if last else now_s
-        when_s = np.clip(times_s, oldest_s, now_s)
+        when_s = np.maximum(times_s, starts_s[min(1, len(starts_s) - 1)])
         rows = np.searchsorted(starts_s, when_s + TIME_TOLERANCE_S, side="right") - 1
         places_m = np.zeros(times_s.shape, dtype=complex)
         headings_rad = np.zeros(times_s.shape)
@@ -144,9 +148,7 @@ class LatencyCompensation:
                 np.where(rows == row, there, places_m),
                 np.where(rows == row, then_rad, headings_rad),
             )
-        ahead = self.axis_offset_m
-        moved = place_m + ahead * np.exp(1j * heading_rad) - places_m - ahead * np.exp(1j * headings_rad)
-        return np.asarray(moved * np.exp(-1j * headings_rad)), np.asarray(heading_rad - headings_rad)
+        return places_m, headings_rad
 
     def _pose_after(self, row: int, times_s: Array) -> tuple[ComplexArray, Array]:
         """Return positions, m, and headings, rad, of all robots after a knot, under that knot's command."""

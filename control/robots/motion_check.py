@@ -17,11 +17,14 @@ too.
 """
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from skyherd.control.robots.latency_compensation import LatencyCompensation
 from skyherd.geometry import Array, ComplexArray
+from skyherd.messages import Sighting
 
 STEP_S = 1.0
 """Shortest duration of a step, s. Chosen: a few times the unknown latency of a drive."""
@@ -63,7 +66,7 @@ Chosen: a misread marker and a robot in someone's hand jump. At 5 images/s a wro
 MAX_GAP_S = 1.0
 """Longest time between two images of a step, s. Chosen: a robot has forgotten its goals by then."""
 
-STANDS = "its marker stands still, although its wheels were told to turn"
+STANDS = "its marker stands still, although it was told to drive"
 """Fault: far less motion than commanded."""
 
 STRAYS = "its marker moves otherwise than its wheels were told: exchanged, turned or reversed?"
@@ -156,16 +159,74 @@ class MotionCheck:
             np.array(motions)[..., used] for motions in list(zip(*self._steps, strict=True))[:2]
         )
         seen_norm, told_norms = np.linalg.norm(seen), np.linalg.norm(commanded, axis=(0, 2))
-        told_norm = told_norms.max()
-        if max(seen_norm, told_norm) < MIN_MOTION:
+        if max(seen_norm, told_norms.max()) < MIN_MOTION:
             return ""
-        if seen_norm < RESPONSE * told_norm:
-            return STANDS if self._told_pace() >= FULL_PACE else ""
         products = np.einsum("ni,nli->l", seen, commanded)
-        follows = (products >= ALIKE * seen_norm * told_norms) & (told_norms >= RESPONSE * seen_norm)
-        return "" if follows.any() else STRAYS
+        stands = seen_norm < RESPONSE * told_norms
+        strays = (products < ALIKE * seen_norm * told_norms) | (told_norms < RESPONSE * seen_norm)
+        if not (stands | strays).all() or (stands.any() and self._told_pace() < FULL_PACE):
+            return ""
+        return STANDS if stands.all() else STRAYS
 
     def _told_pace(self) -> float:
         """Return the root mean square of the commanded paces, as a share of the limits."""
         paces = [commanded[0] / duration_s for _, commanded, duration_s in self._steps]
         return float(np.linalg.norm(np.array(paces) / self._limits[[0, 0, 1]]) / len(paces) ** 0.5)
+
+
+class MotionChecks:
+    """Checks of one robot's motion in the images of all units that see it.
+
+    Attributes:
+        MAX_LAG_S: longest time before an image, s, for which the reckoning has to remember poses.
+
+    Args:
+        robot_id: id of the robot's marker.
+        fixed_units: by unit whose images count, whether it does not fly.
+        reckoning: dead-reckoned poses of the robot, the only one in it.
+        max_speed_mps: greatest commanded speed.
+        max_turn_radps: greatest commanded turn rate.
+    """
+
+    MAX_LAG_S = max(LAGS_S)
+
+    def __init__(
+        self,
+        robot_id: int,
+        fixed_units: Mapping[int, bool],
+        reckoning: LatencyCompensation,
+        *,
+        max_speed_mps: float,
+        max_turn_radps: float,
+    ) -> None:
+        self._robot_id, self._fixed_units, self._reckoning = robot_id, fixed_units, reckoning
+        self._max_speed_mps, self._max_turn_radps = max_speed_mps, max_turn_radps
+        self._checks: dict[int, MotionCheck] = {}
+
+    def reset(self) -> None:
+        """Forget all motions."""
+        self._checks.clear()
+
+    def look(self, sighting: Sighting, taken_s: float) -> str:
+        """Add an image of a unit with the robot's marker; return the fault as `MotionCheck.look` does.
+
+        Args:
+            sighting: the markers of the image.
+            taken_s: time of the image on the robot's clock.
+        """
+        if (is_fixed := self._fixed_units.get(sighting.unit_id)) is None:
+            return ""
+        row = int(np.flatnonzero(sighting.ids == self._robot_id)[0])
+        places_m, headings_rad = self._reckoning.marker_poses(taken_s - np.array(LAGS_S))
+        pose = SeenPose(
+            time_s=taken_s,
+            center_px=complex(*sighting.centers_px[row]),
+            heading_rad=float(sighting.headings_rad[row]),
+            side_px=float(sighting.sides_px[row]),
+            commanded_sides=places_m[:, 0] / self._reckoning.side_m,
+            commanded_rad=headings_rad[:, 0],
+        )
+        if sighting.unit_id not in self._checks:
+            limits = np.array([self._max_speed_mps / self._reckoning.side_m, self._max_turn_radps])
+            self._checks[sighting.unit_id] = MotionCheck(limits, is_fixed=is_fixed)
+        return self._checks[sighting.unit_id].look(pose)

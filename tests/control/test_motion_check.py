@@ -10,8 +10,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from skyherd.control import LAGS_S, LatencyCompensation, MotionCheck, SeenPose
-from skyherd.control.robots.motion_check import MIN_STEPS, STANDS, STEP_S, STRAYS
+from skyherd.control import LatencyCompensation
+from skyherd.control.robots.motion_check import (
+    LAGS_S,
+    MIN_STEPS,
+    STANDS,
+    STEP_S,
+    STRAYS,
+    MotionCheck,
+    SeenPose,
+)
 from skyherd.messages import VelocityCommand
 
 STEP, SIDE_M, PX_PER_M = 0.05, 0.08, 400.0

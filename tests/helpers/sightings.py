@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skyherd.live.sighting import Sighting
+from skyherd.messages import Sighting
 
 
 def make_sighting(

@@ -10,15 +10,17 @@ from five_markers import cubes, five_markers
 from live_processes import PATIENCE_S
 from PIL import Image
 
+from skyherd.control.robots.motion_check import STANDS, STRAYS
 from skyherd.datasets import make_mission
 from skyherd.errors import InputError
-from skyherd.live.lab import load_lab, make_lab
+from skyherd.live.lab import Lab, load_lab, make_lab
 from skyherd.live.live_clock import LiveClock
 from skyherd.live.logs.process_log import ProcessLog
 from skyherd.live.logs.process_log_file import read_process_log
 from skyherd.live.logs.replay import replay
 from skyherd.live.mailbox import Air
 from skyherd.live.process_context import ProcessContext
+from skyherd.live.robot_process import run_robot
 from skyherd.live.unit_process import UnitAtWork, run_unit
 from skyherd.loop import run_steps
 from skyherd.recording.mcap_log import McapLog
@@ -30,8 +32,12 @@ def faults(load_benchmark):
     return load_benchmark("live_faults")
 
 
+def team_lab() -> Lab:
+    return load_lab("triangle", ["control.k=0.3", "control.k_omega=1.2"])
+
+
 def team_of(faults, seed=0):
-    return faults.Team(load_lab("triangle", ["control.k=0.3", "control.k_omega=1.2"]), [], seed)
+    return faults.Team(team_lab(), [], seed)
 
 
 def recorded(team, tmp_path):
@@ -100,6 +106,67 @@ def test_team_with_message_loss_forms_shape_and_replays_exactly(faults, tmp_path
     robot, unit = replay(tmp_path / "robot_3.mcap"), replay(tmp_path / "unit_0.mcap")
     assert (robot.different, unit.different) == (0, 0)
     assert robot.decisions == 110 and unit.decisions == 110
+
+
+def fixed_lab(driver: str = "world", **control) -> Lab:
+    """Return the lab `triangle` under a camera that does not fly."""
+    tree = team_lab().model.model_dump(mode="json")
+    tree["cameras"][0]["flight"] = None
+    tree["robots"] = [robot | {"driver": driver} for robot in tree["robots"]]
+    return make_lab(tree | {"control": tree["control"] | control})
+
+
+def accused(faults, lab: Lab, driven: dict[int, int], seconds: float = 25.0) -> dict[int, str]:
+    """Drive a team, and return the last words of the robots that were disarmed for their motion."""
+    team = faults.Team(lab, [], 0)
+    team.driven = driven
+    while team.time_s < seconds:
+        team.step()
+    told = {robot: " ".join(team.processes[f"robot/{robot}"].told) for robot in lab.ids}
+    return {robot: fault for robot, words in told.items() for fault in (STRAYS, STANDS) if fault in words}
+
+
+RIGHT = {robot: robot for robot in range(6)}
+ALL_BUT_2 = {robot: robot for robot in RIGHT if robot != 2}
+
+
+class TestMotion:
+    """Robots, units, their messages and the lab, from images to wheels."""
+
+    def test_exchanged_drivers_are_found_and_no_other_robot(self, faults) -> None:
+        assert accused(faults, fixed_lab(), RIGHT | {0: 4, 4: 0}) == {0: STRAYS, 4: STRAYS}
+
+    @pytest.mark.parametrize("lab", [fixed_lab(), team_lab()], ids=["fixed", "flying"])
+    def test_right_robots_are_not_accused(self, faults, lab) -> None:
+        assert accused(faults, lab, RIGHT) == {}
+
+    def test_driver_that_turns_no_wheel_of_the_team_is_found(self, faults) -> None:
+        """Its robot stands, and another one may drive where no unit looks."""
+        assert accused(faults, fixed_lab(k=2.0), ALL_BUT_2) == {2: STANDS}
+
+    def test_no_check_without_wheels_or_against_the_lab(self, faults, monkeypatch) -> None:
+        """The negative control is the test above."""
+        assert accused(faults, fixed_lab("dry-run", k=2.0), ALL_BUT_2) == {}
+        assert accused(faults, fixed_lab(k=2.0, motion_check=False), ALL_BUT_2) == {}
+        make_robot = Lab.make_robot
+        monkeypatch.setattr(Lab, "make_robot", lambda lab, robot: make_robot(lab, robot, dry_run=True))
+        assert accused(faults, fixed_lab(k=2.0), ALL_BUT_2) == {}
+
+
+@pytest.mark.parametrize("dry_run", [False, True])
+def test_dry_run_reaches_the_robot_and_its_replay(tmp_path, monkeypatch, dry_run) -> None:
+    made, make_robot = [], Lab.make_robot
+
+    def make_and_note(lab, robot_id, **options):
+        made.append(options["dry_run"])
+        return make_robot(lab, robot_id, **options)
+
+    monkeypatch.setattr(Lab, "make_robot", make_and_note)
+    ended = iter([False, True])
+    context = replace(context_of(tmp_path, lambda line: None, lambda: next(ended)), dry_run=dry_run)
+    run_robot(context, 3)
+    replay(tmp_path / "robot_3.mcap")
+    assert made == [dry_run, dry_run]
 
 
 def test_replay_detects_a_changed_message(faults, tmp_path, monkeypatch) -> None:

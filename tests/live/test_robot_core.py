@@ -110,10 +110,10 @@ class TestMotion:
     """A robot whose marker moves otherwise than its wheels were told is disarmed."""
 
     @staticmethod
-    def drive(motion_checks, steps: int, side_px: float = 20.0, turn: float = 1.0, speed: float = 1.0):
+    def drive(fixed_units, steps: int, side_px: float = 20.0, turn: float = 1.0, speed: float = 1.0):
         """Drive for some steps, with a marker that moves by these shares of the commands."""
         scene, place, heading = Scene(), 0j, 0.0
-        scene.core = make_core(motion_checks=motion_checks)
+        scene.core = make_core(fixed_units=fixed_units)
         scene.wake()
         scene.see()
         scene.arm()
@@ -155,10 +155,29 @@ class TestMotion:
     def test_unit_that_does_not_judge_disarms_no_robot(self) -> None:
         assert self.drive({1: True}, 200, turn=-1.0, speed=-1.0).orders[-1].reason == DRIVING
 
+    def test_late_images_and_a_slow_drive_are_no_fault(self) -> None:
+        """The robot turns to and fro, 0.6 s after its commands, in images that are 0.3 s old."""
+        scene = Scene()
+        scene.core = make_core(fixed_units={0: True})
+        scene.wake()
+        scene.see()
+        scene.arm()
+        headings, commands = [0.0], [0.0] * round(0.6 / STEP_S)
+        for step in range(400):
+            heading = headings[max(len(headings) - 1 - round(0.3 / STEP_S), 0)]
+            taken_s = scene.now_s - 0.3
+            scene.compare_clocks()
+            scene.unit_says(make_sighting(taken_s, [ROBOT], heading_rad=-heading))
+            scene.unit_says(goals(taken_s, rho=1.0, bearing=2.0 if step % 60 < 30 else -2.0))
+            order = scene.step()
+            commands.append(order.omega_radps)
+            headings.append(headings[-1] + STEP_S * commands[-1 - round(0.6 / STEP_S)])
+        assert scene.core.armed and max(np.abs(np.diff(headings[::20]))) > 1.0
+
     def test_motion_while_disarmed_does_not_count(self) -> None:
         """Before the first drive a robot is carried to its place."""
         scene = Scene()
-        scene.core = make_core(motion_checks={0: True})
+        scene.core = make_core(fixed_units={0: True})
         scene.wake()
         for step in range(200):
             if step == 150:

@@ -10,7 +10,7 @@ from skyherd.live.peers import CONFLICT_S
 from skyherd.live.plausible import Roster
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import KIND_OF, Envelope, Heartbeat
-from skyherd.messages import FlightCommand, RoleMap, TreeStatus, UnitReport
+from skyherd.messages import FlightCommand, RoleMap, Sighting, TreeStatus, UnitReport
 from skyherd.messages.ids import NO_ID
 
 pytestmark = pytest.mark.smoke
@@ -244,6 +244,17 @@ class TestGoals:
             unit.hear()
             news = unit.see()
         assert "goals" in sent_kinds(news)
+
+
+def test_sighting_has_the_pose_of_each_marker_that_is_seen_once(make_detections) -> None:
+    unit = OneUnit(make_detections)
+    image = unit.image = make_detections([4, 2, 5, 2, 0], 100 + 50 * np.arange(5) * (1 + 1j))
+    sighting = next(message for message in unit.see().messages if isinstance(message, Sighting))
+    once = [0, 2, 4]
+    np.testing.assert_array_equal(sighting.ids, image.ids[once])
+    np.testing.assert_array_equal(sighting.repeated_ids, [2])
+    for name in ("centers_px", "headings_rad", "sides_px"):
+        np.testing.assert_array_equal(getattr(sighting, name), getattr(image, name)[once])
 
 
 class TestCamera:

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.errors import MessageError
-from skyherd.live.sighting import Sighting
-from skyherd.messages import FlightCommand, MotionGoals, Proximity, UnitReport
+from skyherd.messages import FlightCommand, MotionGoals, Proximity, Sighting, UnitReport
 from skyherd.messages.ids import NO_ID
 from skyherd.messages.role_map import RoleMap
 from skyherd.messages.tree_status import TreeStatus

@@ -27,25 +27,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.control import (
-    LAGS_S,
     AvoidanceRule,
     GoalFollowers,
     GoalInboxes,
     LatencyCompensation,
-    MotionCheck,
+    MotionChecks,
     NeighborMemory,
     RobotLaw,
-    SeenPose,
     Wheels,
 )
 from skyherd.live.drivers.driver import HOLD_S
 from skyherd.live.drivers.limits import Limiter, SpeedLimits
 from skyherd.live.drivers.link import STILL, Motion
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
-from skyherd.live.sighting import Sighting
 from skyherd.live.stop_latch import NOT_HALTED, ArmState, StopLatch
 from skyherd.live.wire import SESSION, Arm, Envelope, Heartbeat, Stop
-from skyherd.messages import MotionGoals, Proximity, VelocityCommand
+from skyherd.messages import MotionGoals, Proximity, Sighting, VelocityCommand
 from skyherd.messages.checks import check_numbers
 
 FUTURE_S = 0.05
@@ -133,8 +130,8 @@ class RobotCore:
         avoidance: rule of collision avoidance; None without avoidance.
         lab: digest of the lab file.
         supervised: whether a session runs the robot, which must not drive while that is silent.
-        motion_checks: by unit, whether it does not fly (`MotionCheck.is_fixed`); units left out do not check
-            the robot's motion.
+        fixed_units: by unit whose images check the robot's motion, whether it does not fly; empty for no
+            check.
     """
 
     def __init__(
@@ -152,7 +149,7 @@ class RobotCore:
         avoidance: AvoidanceRule | None = None,
         lab: str = "",
         supervised: bool = False,
-        motion_checks: Mapping[int, bool] | None = None,
+        fixed_units: Mapping[int, bool] | None = None,
     ) -> None:
         self.robot_id, self.name, self.limits = robot_id, f"robot/{robot_id}", limits
         self.clocks, self._lab = PeerClocks(self.name, clock_limits, lab), lab
@@ -170,7 +167,7 @@ class RobotCore:
         self._team: GoalFollowers
         self._limiter = Limiter(limits.speeds)
         self._refused = self._fault = ""
-        self._fixed_units = motion_checks or {}
+        self._fixed_units = fixed_units or {}
         self._trouble: str | None = None
         self._trouble_since_s = math.inf
         self._forget()
@@ -353,40 +350,17 @@ class RobotCore:
         mine = np.asarray(message.ids == self.robot_id)
         if isinstance(message, MotionGoals):
             if mine.any():
-                ours = self.clocks.in_our_time(_only(message, mine), sender, now_s)
+                ours = self.clocks.in_our_time(message.take(mine), sender, now_s)
                 self._team.inboxes.receive(ours, min(now_s, ours.time_s - known.uncertainty_s))
         elif self._team.neighbors is not None:
             self._team.neighbors.receive(self.clocks.in_our_time(message, sender, now_s), mine)
 
     def _check_motion(self, sighting: Sighting, taken_s: float) -> None:
-        """Disarm the robot if its marker moves otherwise than its wheels were told since it was armed.
-
-        Args:
-            sighting: an image of a unit, with the robot's marker.
-            taken_s: time of the image on our clock.
-        """
-        unit = sighting.unit_id
-        if unit not in self._fixed_units:
-            return
+        """Disarm the robot if its marker moves otherwise than its wheels were told since it was armed."""
         if not self.armed:
-            self._motion_checks.clear()
-            return
-        row = int(np.flatnonzero(sighting.ids == self.robot_id)[0])
-        places_m, headings_rad = self._motion.marker_poses(taken_s - np.array(LAGS_S))
-        pose = SeenPose(
-            time_s=taken_s,
-            center_px=complex(*sighting.centers_px[row]),
-            heading_rad=float(sighting.headings_rad[row]),
-            side_px=float(sighting.sides_px[row]),
-            commanded_sides=places_m[:, 0] / self._side_m,
-            commanded_rad=headings_rad[:, 0],
-        )
-        speeds = self.limits.speeds
-        limits = np.array([speeds.speed_mps / self._side_m, speeds.turn_radps])
-        check = self._motion_checks.setdefault(unit, MotionCheck(limits, is_fixed=self._fixed_units[unit]))
-        if fault := check.look(pose):
+            self._motion_checks.reset()
+        elif fault := self._motion_checks.look(sighting, taken_s):
             self._arm_state, self._fault = self._arm_state.disarm(), fault
-            self._motion_checks.clear()
 
     def _forget(self) -> None:
         """Reset goals, sightings and motion to the state after the start."""
@@ -399,10 +373,17 @@ class RobotCore:
             self._side_m,
             axis_offset_m=self._wheels.axis_offset_m,
             delay_s=self._delay_s,
-            memory_s=self.limits.goal_timeout_s + FUTURE_S + max(LAGS_S),
+            memory_s=self.limits.goal_timeout_s + FUTURE_S + MotionChecks.MAX_LAG_S,
             hold_s=HOLD_S,
         )
-        self._motion_checks: dict[int, MotionCheck] = {}
+        speeds = self.limits.speeds
+        self._motion_checks = MotionChecks(
+            self.robot_id,
+            self._fixed_units,
+            self._motion,
+            max_speed_mps=speeds.speed_mps,
+            max_turn_radps=speeds.turn_radps,
+        )
         self._limiter.last = STILL
         self._seen_s = self._doubled_s = -math.inf
         neighbors = None
@@ -423,17 +404,3 @@ class RobotCore:
             avoidance=self._avoidance,
             latency_compensation=self._motion,
         )
-
-
-def _only(goals: MotionGoals, mine: np.ndarray) -> MotionGoals:
-    """Return the goals of the robots selected by a mask."""
-    return MotionGoals(
-        unit_id=goals.unit_id,
-        time_s=goals.time_s,
-        ids=goals.ids[mine],
-        rho_px=goals.rho_px[mine],
-        bearings_rad=goals.bearings_rad[mine],
-        sides_px=goals.sides_px[mine],
-        neighbor_ids=goals.neighbor_ids[mine],
-        neighbor_distances_px=goals.neighbor_distances_px[mine],
-    )

@@ -18,10 +18,9 @@ from skyherd.control import AerialController, Decision
 from skyherd.live.peers import CONFLICT_S, ClockLimits, PeerClocks
 from skyherd.live.plausible import Roster
 from skyherd.live.robot_core import DRIVING, FUTURE_S, MAX_GAP_S
-from skyherd.live.sighting import Sighting
 from skyherd.live.stop_latch import NO_COMMAND, StopLatch
 from skyherd.live.wire import Envelope, Heartbeat, Message
-from skyherd.messages import Detections, FlightCommand, UnitReport
+from skyherd.messages import Detections, FlightCommand, Sighting, UnitReport
 
 HEARTBEAT_LIFE_S = 1.0
 """Time for which a robot's heartbeat shows that it drives, s. Chosen: four heartbeats."""

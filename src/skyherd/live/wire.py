@@ -26,9 +26,8 @@ import orjson
 
 from skyherd.errors import MessageError
 from skyherd.live.plausible import check_ranges
-from skyherd.live.sighting import Sighting
 from skyherd.live.stop_latch import MAX_STOP, NO_COMMAND, NOT_HALTED, StopLatch
-from skyherd.messages import FlightCommand, MotionGoals, Proximity, UnitReport
+from skyherd.messages import FlightCommand, MotionGoals, Proximity, Sighting, UnitReport
 from skyherd.messages.role_map import RoleMap
 from skyherd.messages.tree_status import TreeStatus
 from skyherd.recording.json_codec import from_plain, to_json

@@ -11,6 +11,7 @@ from skyherd.messages.ids import ANONYMOUS_ID, BORDER_IDS, NO_ID, among, find_ro
 from skyherd.messages.proximity import Proximity
 from skyherd.messages.reports import UnitReport, shared_ids
 from skyherd.messages.role_map import RoleMap
+from skyherd.messages.sighting import Sighting
 from skyherd.messages.times import TIME_TOLERANCE_S
 from skyherd.messages.tree_status import NO_SLOT, TreeStatus
 
@@ -28,6 +29,7 @@ __all__ = [
     "Quality",
     "RobotGoal",
     "RoleMap",
+    "Sighting",
     "TreeStatus",
     "UnitReport",
     "VelocityCommand",

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyherd.errors import MessageError
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.messages.checks import check_time, shown
 from skyherd.messages.frozen_arrays import freeze, freeze_ids
 from skyherd.messages.short_repr import short_repr
@@ -84,6 +84,19 @@ class MotionGoals:
 
     def __len__(self) -> int:
         return int(self.ids.size)
+
+    def take(self, rows: BoolArray) -> "MotionGoals":
+        """Return the goals of the robots in a mask (N,)."""
+        return MotionGoals(
+            unit_id=self.unit_id,
+            time_s=self.time_s,
+            ids=self.ids[rows],
+            rho_px=self.rho_px[rows],
+            bearings_rad=self.bearings_rad[rows],
+            sides_px=self.sides_px[rows],
+            neighbor_ids=self.neighbor_ids[rows],
+            neighbor_distances_px=self.neighbor_distances_px[rows],
+        )
 
     def for_robot(self, robot_id: int) -> RobotGoal:
         """Return the part for one robot.

@@ -86,7 +86,7 @@ class UnitReport:
 
     @cached_property
     def distances(self) -> dict[int, float]:
-        """The same by robot."""
+        """Distance from the image centre of each robot seen, as `centre_distances`."""
         return dict(zip(self.ids.tolist(), self.centre_distances.tolist(), strict=True))
 
 

@@ -280,5 +280,5 @@ class Lab:
             avoidance=self.make_avoidance(),
             lab=self.digest,
             supervised=supervised,
-            motion_checks=fixed if moves and control.motion_check else {},
+            fixed_units=fixed if moves and control.motion_check else {},
         )

@@ -15,7 +15,7 @@ from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.refine import START_SIGMA_PX
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.row_record import RowRecord
-from skyherd.vision.search.decode import DecodedQuads, decode_quads, no_decoded_quads
+from skyherd.vision.search.decode import MIN_CORRELATION, DecodedQuads, decode_quads, no_decoded_quads
 from skyherd.vision.search.edges import EdgeFits, fit_edges
 
 PALE_SHARE = 0.3
@@ -25,15 +25,21 @@ are blurred three times as much as the others 0.36. Of the dark patches of groun
 show 0.29 or less; they took a quarter of the detector's time in missions."""
 
 CLEAR_CORRELATION = 0.8
-"""Smallest correlation of a clear candidate's cells with a marker's. Measured: markers that only a fallback
-search finds have 0.83 to 0.99; at 0.6 photographs of clutter take twice the time, for fits of squares of a
-few pixels."""
+"""Correlation of a quadrilateral's cells with a marker's from which on it is a candidate. Chosen: most
+outlines of markers on photographs have 0.95, and what is no marker hardly ever has 0.8."""
 
-DOUBTFUL_CORRELATION = 0.4
-"""Where candidates must be clear, quadrilaterals whose cells have this correlation with a marker, but not
-that of clear ones, are compared again at their edges. Measured on 3,240 markers of 36h11 of 14 to 30 px, a
-third of them faint (`benchmarks/touching.py --tuning`): 2,566 are found with 0.3, 2,555 with 0.4, 2,541 with
-0.5, 2,524 with 0.6 and 2,409 without. On photographs 0.4 takes 1 % of the time, and 0.3 takes 7 %."""
+DOUBTFUL_CORRELATION, EDGE_CORRELATION = 0.4, 0.75
+"""Quadrilaterals that have the first are read again at their edges, and are candidates if they have the
+second there. Outlines that are off are thus found, and what merely resembles a marker costs no fit.
+
+Measured on 5,400 markers of 36h11 (`benchmarks/touching.py --tuning`): 4,214 are found, and 4,199 if those of
+the fallback need 0.8 at their edges. Under odd conditions (tuning seeds) 3,894 of 4,032 are found: one more
+than if those of the first search need 0.6 as they are, and two more than with 0.8 at their edges. On
+photographs that search has 2,836 candidates instead of 6,055."""
+
+BORDER_PX = 4.0
+"""Quadrilaterals with a corner nearer to the image's border may be the rest of a marker, whose edges lie
+outside. Derived: a pixel of the smallest image that is searched."""
 
 CORNER_ANISOTROPY_ERROR_PX = 1.0
 """Accuracy of an anisotropy that is computed from a quadrilateral's corners, px. Chosen: corners are found to
@@ -82,7 +88,7 @@ class SearchPass:
 
     Attributes:
         quads_px: (Q, 4, 2) corners of the quadrilaterals that were found outside known markers, px.
-        decoded: those that resemble a marker, several of one place, and of a fallback also doubtful ones.
+        decoded: those that may resemble a marker, several of one place.
         candidates: the N of `decoded` that are fitted, after non-maximum suppression.
         fits: of the N candidates, in their order.
         good: (N,) whether each is accepted as a marker, after non-maximum suppression.
@@ -127,62 +133,72 @@ class SearchPass:
 
 
 def find_candidates(
-    image: Image,
-    dictionary: str,
-    state: CameraState,
-    quads_px: Array,
-    *,
-    beside_markers: bool,
-    clear: bool = False,
+    image: Image, dictionary: str, state: CameraState, quads_px: Array, *, beside_markers: bool
 ) -> DecodedQuads:
     """Return the quadrilaterals that resemble a marker, the best one of each place and id.
 
     The arguments are those of `decode_outlines` and `best_of_decoded`.
     """
-    decoded = decode_outlines(image, dictionary, state, quads_px, clear=clear)
-    return best_of_decoded(decoded, state, beside_markers=beside_markers, clear=clear)
+    decoded = decode_outlines(image, dictionary, state, quads_px)
+    return best_of_decoded(image, dictionary, state, decoded, beside_markers=beside_markers)
 
 
-def decode_outlines(
-    image: Image, dictionary: str, state: CameraState, quads_px: Array, *, clear: bool
-) -> DecodedQuads:
-    """Return the quadrilaterals that resemble a marker.
+def decode_outlines(image: Image, dictionary: str, state: CameraState, quads_px: Array) -> DecodedQuads:
+    """Return the quadrilaterals that may resemble a marker.
 
     Args:
         image: grey, (height, width).
         dictionary: of the markers.
         state: of the camera.
         quads_px: (Q, 4, 2) corners, px, clockwise as seen, beginning with any of the four.
-        clear: whether candidates must be clear: doubtful ones are then decoded at their edges too.
     """
-    sigma_px = state.sigma_px or START_SIGMA_PX
-    if not clear:
-        return decode_quads(image, quads_px, dictionary, sigma_px)
-    decoded = decode_quads(image, quads_px, dictionary, sigma_px, DOUBTFUL_CORRELATION)
-    doubtful = decoded.corners_px[decoded.correlations < CLEAR_CORRELATION]
-    edges_px = fit_edges(image, doubtful, cells_per_side(dictionary)).corners_px
-    return decoded.joined(decode_quads(image, edges_px, dictionary, sigma_px))
+    return decode_quads(image, quads_px, dictionary, _sigma_px(state), DOUBTFUL_CORRELATION)
 
 
 def best_of_decoded(
-    decoded: DecodedQuads, state: CameraState, *, beside_markers: bool, clear: bool
+    image: Image,
+    dictionary: str,
+    state: CameraState,
+    decoded: DecodedQuads,
+    *,
+    beside_markers: bool,
+    keep_at_border: bool = True,
 ) -> DecodedQuads:
     """Return the candidates among decoded quadrilaterals, the best one of each place and id.
 
+    Doubtful ones are read again at their edges, and have the corners that these show.
+
     Args:
-        decoded: the quadrilaterals.
+        image: grey, (height, width).
+        dictionary: of the markers.
         state: of the camera.
+        decoded: the quadrilaterals.
         beside_markers: whether other markers of the image are known; pale candidates are left out then.
-        clear: whether candidates must be clear.
+        keep_at_border: whether doubtful ones at the image's border are candidates as they are.
     """
-    if clear:
-        decoded = decoded.take(decoded.correlations >= CLEAR_CORRELATION)
+    is_clear = decoded.correlations >= CLEAR_CORRELATION
+    doubtful = decoded.take(~is_clear)
+    edges_px = fit_edges(image, doubtful.corners_px, cells_per_side(dictionary)).corners_px
+    found = decoded.take(is_clear)
+    found = found.joined(decode_quads(image, edges_px, dictionary, _sigma_px(state), EDGE_CORRELATION))
+    if keep_at_border:
+        is_alike = doubtful.correlations >= MIN_CORRELATION
+        found = found.joined(doubtful.take(is_alike & _are_at_border(image, doubtful.corners_px)))
     if beside_markers and state.print_contrast is not None:
-        decoded = decoded.take(decoded.print_contrasts >= PALE_SHARE * state.print_contrast)
-    start = LocalHomographies.of_corners(decoded.corners_px)
-    return decoded.take(
-        non_maximum_suppression(decoded.ids, start.centers, start.sides_px(), decoded.correlations)
-    )
+        found = found.take(found.print_contrasts >= PALE_SHARE * state.print_contrast)
+    start = LocalHomographies.of_corners(found.corners_px)
+    return found.take(non_maximum_suppression(found.ids, start.centers, start.sides_px(), found.correlations))
+
+
+def _sigma_px(state: CameraState) -> float:
+    """Return the blur that outlines are decoded under, px."""
+    return state.sigma_px or START_SIGMA_PX
+
+
+def _are_at_border(image: Image, corners_px: Array) -> BoolArray:
+    """Return which quadrilaterals (N, 4, 2) have a corner within `BORDER_PX` of the image's border."""
+    last_px = np.array(image.shape[::-1]) - 1
+    return np.asarray((np.minimum(corners_px, last_px - corners_px) < BORDER_PX).any(axis=(1, 2)))
 
 
 def outside_markers(quads_px: Array, known: LocalHomographies) -> BoolArray:

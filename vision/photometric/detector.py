@@ -154,7 +154,7 @@ class PhotometricDetector:
             quads_px: (N, 4, 2) corners, px, clockwise as seen, beginning with any of the four.
         """
         image, state = check_grey(image), CameraState()
-        found = self._measured(image, state, quads_px, self._none.homographies, clear=True).found
+        found = self._measured(image, state, quads_px, self._none.homographies, keep_at_border=False).found
         return _detections(self._joined(found, self._none), state.ratios.factors(), image, 0.0, 0)
 
     def _is_due(self, unsearched: int) -> bool:
@@ -203,7 +203,7 @@ class PhotometricDetector:
         faint = find_faint_quads(image, known_px, noise)
         crossed = find_crossed_quads(image, known_px)
         quads = np.concatenate([find_small_quads(image, known_px), faint, crossed])
-        second = self._measured(image, replace(state, plane=first.plane), quads, known, clear=True)
+        second = self._measured(image, replace(state, plane=first.plane), quads, known, keep_at_border=False)
         if not (first.good.any() and second.good.any()):
             return first, second
         alike = verified(found.joined(second.found), noise, code_distance(self.dictionary))[found.ids.size :]
@@ -221,15 +221,22 @@ class PhotometricDetector:
         quads_px: Array,
         known: LocalHomographies,
         *,
-        clear: bool = False,
+        keep_at_border: bool = True,
     ) -> SearchPass:
         """Return quadrilaterals outside of known markers, decoded and measured.
 
         Enough known markers show the plane. It is then not that of the others alone.
         """
         quads_px = quads_px[outside_markers(quads_px, known)]
-        decoded = decode_outlines(image, self.dictionary, state, quads_px, clear=clear)
-        candidates = best_of_decoded(decoded, state, beside_markers=len(known) > 0, clear=clear)
+        decoded = decode_outlines(image, self.dictionary, state, quads_px)
+        candidates = best_of_decoded(
+            image,
+            self.dictionary,
+            state,
+            decoded,
+            beside_markers=len(known) > 0,
+            keep_at_border=keep_at_border,
+        )
         given = image, self.dictionary, state, quads_px, candidates
         if len(known) < MIN_MARKERS_ON_PLANE:
             return replace(measure_candidates(*given, OWN_PLANES), decoded=decoded)
@@ -272,7 +279,9 @@ class DeferringDetector(PhotometricDetector):
         part = state.parts
         known = state.tracks.seen.homographies
         known_px = to_points(known.images(SQUARE_CORNERS))
-        searched = self._measured(image, state, self._quads(part, image, known_px), known, clear=part > 0)
+        searched = self._measured(
+            image, state, self._quads(part, image, known_px), known, keep_at_border=part == 0
+        )
         found, state = searched.found, replace(state, plane=searched.plane)
         if found.ids.size:
             last_s = state.tracks.times_s.max(initial=0.0)

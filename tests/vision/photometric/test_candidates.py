@@ -12,6 +12,9 @@ from skyherd.vision import PhotometricDetector, Reason, explain
 from skyherd.vision.photometric import measure
 from skyherd.vision.photometric.candidates import (
     CLEAR_CORRELATION,
+    EDGE_CORRELATION,
+    best_of_decoded,
+    decode_outlines,
     find_candidates,
     may_be_cut,
     outside_markers,
@@ -20,7 +23,9 @@ from skyherd.vision.photometric.candidates import (
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.measure import are_likely, measure_candidates
+from skyherd.vision.photometric.refine import START_SIGMA_PX
 from skyherd.vision.photometric.state import CameraState
+from skyherd.vision.search.decode import MIN_CORRELATION, decode_quads
 from skyherd.vision.search.quads import find_quads
 
 DICTIONARY, SIZE, SIDE_PX = "4X4_50", (400, 140), 30.0
@@ -77,14 +82,44 @@ def test_quadrilaterals_that_are_off_are_compared_at_their_edges(place_markers, 
     image = draw_markers(place_markers(places, headings, 14.0), list(range(27)), (390, 140), rng, noise=1.0)
     quads_px = corners_of_pose(to_points(places), headings, np.full(27, 14.0))
     quads_px += rng.uniform(-2, 2, quads_px.shape)
-    clear, plain = (
-        find_candidates(image, DICTIONARY, CameraState(), quads_px, beside_markers=False, clear=clear)
-        for clear in (True, False)
-    )
+    plain = decode_quads(image, quads_px, DICTIONARY, START_SIGMA_PX)
     assert np.count_nonzero(plain.correlations >= CLEAR_CORRELATION) < 14
-    assert clear.ids.size >= 25 and clear.correlations.min() >= CLEAR_CORRELATION
-    errors_px = np.abs(to_complex(clear.corners_px).mean(axis=1) - places[clear.ids])
+    found = find_candidates(image, DICTIONARY, CameraState(), quads_px, beside_markers=False)
+    assert found.ids.size >= 25 and found.correlations.min() >= EDGE_CORRELATION
+    errors_px = np.abs(to_complex(found.corners_px).mean(axis=1) - places[found.ids])
     assert np.median(errors_px) < 0.2, "of a quadrilateral that is off, half a pixel"
+
+
+def test_what_merely_resembles_a_marker_is_no_candidate(place_markers, draw_markers) -> None:
+    """Marker 7, whose bits are white, with half of the border above and below; as it is, it is one."""
+    place, side_px = np.array([60 + 60j]), 48.0
+    image = draw_markers(
+        place_markers(place, [0.0], side_px), [7], (120, 120), np.random.default_rng(1), noise=1.0
+    )
+    quads_px = corners_of_pose(to_points(place), np.zeros(1), np.array([side_px]))
+
+    def ids() -> list[int]:
+        found = find_candidates(image, DICTIONARY, CameraState(), quads_px, beside_markers=False)
+        return found.ids.tolist()
+
+    assert ids() == [7]
+    image[40:80, 44:76] = 230
+    alike = decode_quads(image, quads_px, DICTIONARY, START_SIGMA_PX)
+    assert MIN_CORRELATION <= alike.correlations[0] < EDGE_CORRELATION
+    assert ids() == []
+
+
+def test_rest_of_a_marker_at_the_border_is_a_candidate_as_it_is(place_markers, draw_markers) -> None:
+    """Cut within its black border, it reads worse at its edges, of which one is outside the image."""
+    place = place_markers(np.array([17 + 60j]), [0.05], 48.0)
+    image = draw_markers(place, [7], (120, 120), np.random.default_rng(1), noise=1.0)
+    quads_px, state, ids = find_quads(image), CameraState(), []
+    decoded = decode_outlines(image, DICTIONARY, state, quads_px)
+    assert (decoded.correlations < CLEAR_CORRELATION).all()
+    for keep in (True, False):
+        best = best_of_decoded(image, DICTIONARY, state, decoded, beside_markers=False, keep_at_border=keep)
+        ids.append(measure_candidates(image, DICTIONARY, state, quads_px, best).found.ids.tolist())
+    assert ids == [[7], []]
 
 
 def test_pale_marker_beyond_doubt_is_found_beside_others(markers) -> None:

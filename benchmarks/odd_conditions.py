@@ -36,6 +36,9 @@ FOCAL_PX, MAX_TILT_DEG, BLUR_PX = 800.0, 40.0, 0.6
 of the lens."""
 
 COLUMNS, ROWS, GROUND_LEVEL = 4, 3, 128.0
+PLATE_CELLS = 3.0
+"""Width of the plate around a marker without a margin, cells."""
+
 SAME_PLACE = 0.3
 """Distance of centres of one marker at most, in its sides."""
 
@@ -43,8 +46,13 @@ Grey = npt.NDArray[np.float32]
 """Grey levels of an image, (height, width)."""
 
 
-def scene(dictionary: str, rng: np.random.Generator, margin_cells: float) -> tuple[Grey, Array, Array]:
-    """Return the grey levels (height, width) of twelve markers, their ids (12,) and centres (12, 2), px."""
+def scene(
+    dictionary: str, rng: np.random.Generator, margin_cells: float, beyond: float
+) -> tuple[Grey, Array, Array]:
+    """Return the grey levels (height, width) of twelve markers, their ids (12,) and centres (12, 2), px.
+
+    `beyond` is the grey level beyond margins that are narrower than a cell.
+    """
     camera = Camera(SIZE_PX, focal_px=FOCAL_PX)
     tilt_rad, axis_rad = np.radians(rng.uniform(0, MAX_TILT_DEG)), rng.uniform(0, 2 * np.pi)
     tilts_rad = float(tilt_rad * np.cos(axis_rad)), float(tilt_rad * np.sin(axis_rad))
@@ -56,7 +64,7 @@ def scene(dictionary: str, rng: np.random.Generator, margin_cells: float) -> tup
     places_m = apply_homography(inverse(homography_image_ground(camera, pose)), seen_px)
     headings_rad = rng.uniform(-np.pi, np.pi, len(ids))
     margins = [
-        Quad(strip, GROUND_LEVEL)
+        Quad(strip, beyond)
         for place_m, heading_rad in zip(places_m, headings_rad, strict=True)
         for strip in outer_strips(dictionary, place_m, heading_rad, margin_cells)
     ]
@@ -69,7 +77,7 @@ def scene(dictionary: str, rng: np.random.Generator, margin_cells: float) -> tup
 def outer_strips(dictionary: str, place_m: Array, heading_rad: float, margin_cells: float) -> list[Array]:
     """Return four strips (4, 2), m, over the white zone of a marker of 1 m beyond a margin in cells."""
     cell_m = 1 / cells_per_side(dictionary)
-    low, high = 0.5 + margin_cells * cell_m, 0.5 + 1.5 * cell_m
+    low, high = 0.5 + margin_cells * cell_m, 0.5 + PLATE_CELLS * cell_m
     if margin_cells >= 1:
         return []
     strip = np.array([[low, -high], [high, -high], [high, high], [low, high]])
@@ -379,19 +387,24 @@ CONDITIONS: dict[str, tuple[Callable[..., Grey], float, float]] = {
 }
 """Conditions: the change, its strength in the table, and that for tuning."""
 
-MARGINS = {"margin of a quarter cell": 0.25, "margin of half a cell": 0.5}
-"""White cards that are narrower than a cell."""
+MARGINS = {
+    "margin of a quarter cell": (0.25, GROUND_LEVEL),
+    "margin of half a cell": (0.5, GROUND_LEVEL),
+    "no margin, on grey": (0.0, GROUND_LEVEL),
+    "no margin, on dark grey": (0.0, 40.0),
+}
+"""Margins of white cards that are narrower than a cell, in cells, and grey levels beyond them."""
 
 
 def measure(name: str, dictionary: str, detectors: dict[str, Any], *, tuning: bool) -> dict[str, Any]:
     """Return the row of a condition: markers, and for each detector those found, wrong ids and errors."""
     change, *strengths = CONDITIONS.get(name, (unchanged, 0.0, 0.0))
-    strength, margin = strengths[tuning], MARGINS.get(name, 1.0)
+    strength, margin = strengths[tuning], MARGINS.get(name, (1.0, GROUND_LEVEL))
     row: dict[str, Any] = {"condition": name, "strength": strength, "markers": 0}
     row |= {key: {"found": 0, "wrong": 0, "off_px": [], "nees": [], "plain": []} for key in detectors}
     for number in range(IMAGES):
         rng = np.random.default_rng([900 if tuning else 100, number, *name.encode()[:8]])
-        levels, ids, centers = scene(dictionary, rng, margin)
+        levels, ids, centers = scene(dictionary, rng, *margin)
         image = finished(change(levels, centers, rng, strength), rng)
         row["markers"] += len(ids)
         for key, detector in detectors.items():

@@ -226,7 +226,7 @@ def fuzz_following(library, rng, image, cells, places):
     tracks["on_arc"], tracks["missed"] = rng.integers(0, 2, len(places)), rng.integers(0, 20, len(places))
     if rng.random() < 0.5:
         limits = constants.verification
-        for name in ("min_contrast", "min_area_share", "min_print_share"):
+        for name in ("min_cell_px", "min_contrast", "min_area_share", "min_print_share"):
             setattr(limits, name, -np.inf)
         for name, _ in [*limits._fields_, *constants._fields_]:
             owner = limits if hasattr(limits, name) else constants

@@ -72,6 +72,7 @@ class Reason(Enum):
 
 
 FAILED = {
+    Quantity.CELL_SIZE: (Reason.FEW_PIXELS, "cell in px"),
     Quantity.CONTRAST: (Reason.LOW_CONTRAST, "contrast in grey levels"),
     Quantity.WHITE: (Reason.TOO_WHITE, "white in grey levels"),
     Quantity.BLUR: (Reason.BLURRED, "blur in cells"),

@@ -38,7 +38,7 @@ typedef struct {
 typedef struct {
     double wrong_cell_share, wrong_cell_sigmas, wrong_cell_limit, strong_cell_limit, weak_cell_share;
     double min_contrast, max_white, max_cell_noise, max_anisotropy, max_keystone, max_blur_cells, max_last_step_px;
-    double min_area_share, noise_factor, model_share, cell_model_share, sharp_blur_cells, max_processed_noise;
+    double min_cell_px, min_area_share, noise_factor, model_share, cell_model_share, sharp_blur_cells, max_processed_noise;
     double wrong_bits, min_print_share, min_divisor_contrast;
     double first_log_sigma, last_log_sigma; /* of both tables */
     const double *own_cell, *square;        /* (table_size,) integrals of E over the wrong cell, and of E² */

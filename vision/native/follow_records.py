@@ -57,7 +57,7 @@ class VerificationLimits(ctypes.Structure):
     _fields_ = (
         *_doubles("wrong_cell_share wrong_cell_sigmas wrong_cell_limit strong_cell_limit weak_cell_share"),
         *_doubles("min_contrast max_white max_cell_noise max_anisotropy max_keystone max_blur_cells"),
-        *_doubles("max_last_step_px min_area_share noise_factor model_share cell_model_share"),
+        *_doubles("max_last_step_px min_cell_px min_area_share noise_factor model_share cell_model_share"),
         *_doubles("sharp_blur_cells max_processed_noise wrong_bits min_print_share min_divisor_contrast"),
         *_doubles("first_log_sigma last_log_sigma"),
         ("own_cell", ctypes.c_void_p),

@@ -23,10 +23,10 @@ static WrongCell wrong_cell(const VerificationLimits *limits, const Fit *fit, do
     return (WrongCell){contrast * own * own, contrast * square * cell_px / sqrt(fmax(fit->pixels, 1.0)), cell_px};
 }
 
-/* Return whether a fit has contrast, sharpness, a shape and pixels such as markers have. */
-static int is_plausible(const VerificationLimits *limits, const Fit *fit, double blur_cells) {
+/* Return whether a fit has cells, contrast, sharpness, a shape and pixels such as markers have. */
+static int is_plausible(const VerificationLimits *limits, const Fit *fit, double cell_px, double blur_cells) {
     const Homography *at = &fit->homography;
-    return fit->contrast >= limits->min_contrast && fit->black + fit->contrast <= limits->max_white &&
+    return cell_px >= limits->min_cell_px && fit->contrast >= limits->min_contrast && fit->black + fit->contrast <= limits->max_white &&
            blur_cells <= limits->max_blur_cells && fit->pixels / fabs(area_px2(at)) >= limits->min_area_share &&
            magnitude(at->anisotropy) / magnitude(at->similarity) <= limits->max_anisotropy &&
            magnitude(keystone_of(at, at->perspective)) <= limits->max_keystone;
@@ -66,7 +66,7 @@ int are_verified(const VerificationLimits *limits, const Fit *fits, const double
     for (int64_t k = 0; k < count; k++) {
         const double blur_cells = blurs[k] * n;
         const WrongCell wrong = wrong_cell(limits, fits + k, blur_cells, n);
-        if (!is_plausible(limits, fits + k, blur_cells)) return 0;
+        if (!is_plausible(limits, fits + k, wrong.cell_px, blur_cells)) return 0;
         if (!leaves_noise(limits, fits + k, &wrong, cell_means + k * cells, blur_cells, cells, noise)) return 0;
         scratch[k] = (Weighted){print_contrast(fits + k), fits[k].pixels};
     }

@@ -234,10 +234,19 @@ def non_maximum_suppression(
     return kept
 
 
-def within_better(centers: ComplexArray, sides_px: Array, merits: Array) -> BoolArray:
-    """Return which of N markers (N,) have their centre within another one of greater merit, of any id."""
+def within_better(
+    ids: IntArray, centers: ComplexArray, sides_px: Array, is_photometric: BoolArray
+) -> BoolArray:
+    """Return which of N markers (N,) have their centre within a better one.
+
+    Photometric markers are better than others, and of two of different ids the larger one: a part of a marker
+    can be the perfect image of a smaller marker.
+    """
+    merits = np.where(is_photometric, sides_px, 0.0)
     apart = np.abs(centers[:, None] - centers)
-    return np.asarray(((apart < sides_px / 2) & (merits[:, None] < merits)).any(axis=1))
+    is_other = (ids[:, None] != ids) | ~is_photometric[:, None]
+    is_worse = (merits[:, None] < merits) & is_other
+    return np.asarray(((apart < sides_px / 2) & is_worse).any(axis=1))
 
 
 def may_be_cut(homographies: LocalHomographies, plane: Plane, size_px: tuple[int, int]) -> BoolArray:

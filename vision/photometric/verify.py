@@ -39,6 +39,11 @@ WEAK_CELL_SHARE = 0.21
 the *image's* noise, as independent errors add up: what a fit leaves besides noise must not excuse its cells.
 Measured: of 1050 markers of 4X4_50 on photographs the worst cell leaves 0.195."""
 
+MIN_CELL_PX = 0.8
+"""Smallest side of a cell, px. Chosen: cells of the smallest markers that are searched, of 8 px, have one
+pixel. A fit explains pixels that are fewer than its unknowns: squares of 3 px in text passed for marker 191
+of 36h11."""
+
 MIN_MARKER_CONTRAST = 12.0
 """Smallest contrast of a marker, grey levels. Chosen: four times the usual noise."""
 
@@ -161,6 +166,7 @@ def _integral_tables() -> tuple[Array, Array]:
 class Quantity(Enum):
     """Quantity that a test of a fit compares with a limit; the values are the words that users read."""
 
+    CELL_SIZE = "cell in pixels"
     CONTRAST = "contrast"
     WHITE = "white level"
     BLUR = "blur in cells"
@@ -236,13 +242,14 @@ def may_be_occluded(fits: FitResults, noise: float) -> BoolArray:
 
 
 def _plausibility_tests(fits: FitResults) -> list[FitTest]:
-    """Return tests whether fits have contrast, sharpness, a shape and pixels such as markers have.
+    """Return tests whether fits have cells, contrast, sharpness, a shape and pixels such as markers have.
 
-    Contrast and white are grey levels, the blur is in cells, the others are shares of area, similarity and
-    side.
+    Cells are in px, contrast and white are grey levels, the blur is in cells, the others are shares of area,
+    similarity and side.
     """
-    shapes = fits.homographies
+    shapes, n_cells = fits.homographies, fits.cell_means.shape[1]
     return [
+        FitTest(Quantity.CELL_SIZE, shapes.sides_px() / n_cells, MIN_CELL_PX, at_least=True),
         FitTest(Quantity.CONTRAST, fits.contrasts, MIN_MARKER_CONTRAST, at_least=True),
         FitTest(Quantity.WHITE, fits.blacks + fits.contrasts, MAX_WHITE),
         FitTest(Quantity.BLUR, fits.blurs_cells, MAX_BLUR_CELLS),
@@ -325,6 +332,7 @@ def verification_limits(distance: int) -> VerificationLimits:
         max_keystone=MAX_KEYSTONE,
         max_blur_cells=MAX_BLUR_CELLS,
         max_last_step_px=MAX_LAST_STEP_PX,
+        min_cell_px=MIN_CELL_PX,
         min_area_share=MIN_AREA_SHARE,
         noise_factor=STRONG_NOISE_FACTOR if is_strong else NOISE_FACTOR,
         model_share=MODEL_SHARE,

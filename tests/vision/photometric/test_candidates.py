@@ -201,8 +201,15 @@ def test_few_markers_get_no_plane_if_known_ones_have_none(place_markers, draw_ma
 def test_half_of_a_marker_is_within_the_better_one() -> None:
     """A centre within half a side of a better marker; the better one, and one beside it, are in none."""
     centers, sides_px = np.array([100 + 100j, 106 + 100j, 140 + 100j]), np.array([22.0, 16.0, 22.0])
-    assert within_better(centers, sides_px, np.array([2, 1, 1])).tolist() == [False, True, False]
-    assert not within_better(centers, sides_px, np.array([1, 1, 1])).any()
+
+    def within(*photometric: bool, ids: tuple[int, ...] = (22, 17, 3)) -> list[bool]:
+        return within_better(np.array(ids), centers, sides_px, np.array(photometric)).tolist()
+
+    assert within(True, False, False) == within(True, True, True) == [False, True, False]
+    assert within(False, True, True) == [True, False, False], "its centre is within a photometric one"
+    assert within(False, False, False) == [False] * 3
+    assert within(True, True, True, ids=(22, 22, 3)) == [False] * 3, "one marker found twice"
+    assert within(True, False, True, ids=(22, 22, 3)) == [False, True, False]
 
 
 def rectangle(center: complex, along: complex, ratio: float) -> LocalHomographies:

@@ -140,18 +140,36 @@ def test_narrow_cards_are_read_on_any_ground(white_cells, ground) -> None:
     assert odds.ids.tolist() == [11] and odds.log_odds[0] > min_log_odds("4X4_50")
 
 
+@pytest.mark.parametrize("ground", [70.0, 100.0, 150.0])
+def test_markers_cut_out_along_their_black_are_read(ground, monkeypatch) -> None:
+    """On grey ground; not marker 17, a light rectangle. Without a card of no width, a control, fewer are."""
+
+    def read() -> int:
+        found = 0
+        for marker in set(range(50)) - {17}:
+            image = noisy(card(marker_cells("4X4_50", marker), white_cells=0, ground=ground), 3, 1.0)
+            odds = marker_odds(image, corners(6), "4X4_50")
+            found += int(odds.ids[0] == marker and odds.log_odds[0] > min_log_odds("4X4_50"))
+        return found
+
+    assert read() >= 48
+    monkeypatch.setattr(pattern_fit, "CARD_WIDTHS_CELLS", pattern_fit.CARD_WIDTHS_CELLS[1:])
+    assert read() < 48
+
+
 @pytest.mark.parametrize("marker", [40, 270, 471])
 def test_bits_within_a_wider_black_border_are_refused(marker) -> None:
-    """The bits alone are those of the marker. A narrow card on black ground shows the marker's outline."""
+    """The bits alone are those of the marker. A narrow card or dark grey ground shows its outline."""
     dictionary, cells = "APRILTAG_36h11", marker_cells("APRILTAG_36h11", marker)
     bare, narrow = (noisy(card(cells, white_cells=white, ground=30.0), 2) for white in (0.0, 0.25))
+    grey = noisy(card(cells, white_cells=0.0, ground=64.0), 2)
     assert marker_odds(bare, corners(8), dictionary).log_odds[0] > min_log_odds(dictionary)
-    bare_odds, narrow_odds = (
+    bare_odds, *others = (
         _weighed(image, dictionary, fit_edges(image, corners(8), 8), corners(8)).log_odds[0]
-        for image in (bare, narrow)
+        for image in (bare, narrow, grey)
     )
     assert bare_odds == -np.inf
-    assert narrow_odds > min_log_odds(dictionary)
+    assert min(others) > min_log_odds(dictionary)
 
 
 @pytest.mark.parametrize("box", [(1.6, 3.3, 1.5, 4.2), (2.2, 4.4, 1.7, 2.9), (1.2, 4.8, 1.3, 4.9)])

@@ -105,15 +105,15 @@ def _over_rectangles(sums: Array) -> Array:
 def _log_fits(readings: Readings, drawn: Array, ground: Array, *, clips: bool) -> Array:
     """Return the log likelihoods (N, K) of rectangles (N, K, parts) on wide or narrow cards.
 
-    The square's surroundings, `ground` (parts,), have a level of their own. On a narrow card there are two:
-    the card's is measured, and the one beyond it is fitted.
+    The square's surroundings, `ground` (parts,), have a level of their own, also without a card. On a narrow
+    card there are two: the card's is measured, and the one beyond it is fitted.
     """
     fit = partial(fit_patterns, readings, any_contrast=True)
     wide = fit(exposed(drawn, clips), exposed(ground[None], clips))
     best = np.arange(len(drawn)), wide.logs.argmax(axis=1)
     black, contrast = wide.levels[best][:, 0], np.maximum(wide.levels[best][:, 1], MIN_CONTRAST)
     narrow = []
-    for beyond in narrow_grounds(readings.n_cells):
+    for beyond in narrow_grounds(readings.n_cells)[1:]:  # without that of no width
         card = np.maximum(ground - beyond, 0.0)
         whiteness = (readings.levels @ (card / card.sum()) - black) / contrast
         on_card = drawn + whiteness[:, None, None] * ground

@@ -11,8 +11,8 @@
    accepts markers whose fit was refused for its blur.
 
 A verified fit is not asked for its likelihood, which would change little. Measured: of 1978 verified markers
-on photographs one has hopeless log odds. Of 30,000 shapes that are no markers one is accepted, a picture
-frame (`benchmarks/clutter.py`).
+on photographs one has hopeless log odds. Of 30,000 shapes that are no markers two are accepted
+(`benchmarks/clutter.py`).
 """
 
 from collections.abc import Callable

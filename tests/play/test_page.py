@@ -23,16 +23,15 @@ class TestScene:
             session.ask(Pause(True))
             wait_until(lambda: session.is_paused and page._step is session._step and not page._news.qsize())
             session.ask(SingleStep())
-            grid_m = drawn_grid_m(session.mission)
-            wait_until(
-                lambda: (
-                    page._step is session._step
-                    and np.allclose(scene._robots[5].position[:2], _place(page), rtol=0, atol=grid_m / 2)
-                )
-            )
-            step = session._step
-            unit, place = scene._units[1].body, [*step.fleet.positions_m[1], step.fleet.heights_m[1]]
-            np.testing.assert_allclose(unit.position, place, rtol=0, atol=grid_m / 2)
+            grid_m, unit = drawn_grid_m(session.mission), scene._units[1].body
+
+            def is_drawn() -> bool:
+                fleet = session._step.fleet
+                there = [*_place(page), *fleet.positions_m[1], fleet.heights_m[1]]
+                drawn = [*scene._robots[5].position[:2], *unit.position]
+                return page._step is session._step and np.allclose(drawn, there, rtol=0, atol=grid_m / 2)
+
+            wait_until(is_drawn)
             assert len(scene._robots) == 16 and len(scene._units) == 3
 
     def test_dead_unit_loses_frustum_and_colour(self, open_page):

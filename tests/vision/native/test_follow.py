@@ -16,7 +16,7 @@ from skyherd.errors import InputError
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.native.follow_records import TRACK, FollowRequest
 from skyherd.vision.native.library import Library, declared
-from skyherd.vision.photometric import following, refine
+from skyherd.vision.photometric import following, refine, verify
 from skyherd.vision.photometric.fitting import fit
 from skyherd.vision.photometric.following import fit_predicted
 from skyherd.vision.photometric.state import CameraState
@@ -192,9 +192,20 @@ def test_bright_pixel_is_left_to_python(monkeypatch):
 @contextlib.contextmanager
 def fresh_constants():
     """Let the compiled library read changed constants meanwhile."""
-    following.follow_constants.cache_clear()
+    for cached in (following.follow_constants, verify.verification_limits):
+        cached.cache_clear()
     yield
-    following.follow_constants.cache_clear()
+    for cached in (following.follow_constants, verify.verification_limits):
+        cached.cache_clear()
+
+
+def test_cells_below_the_smallest_ones_are_left_to_python(monkeypatch):
+    """Cells of 2.3 px under limits on either side of that."""
+    image, dictionary, state = scene("small")
+    for least_px in (2.2, 2.5):
+        monkeypatch.setattr(verify, "MIN_CELL_PX", least_px)
+        with fresh_constants():
+            assert fit_predicted(image, dictionary, state, TIME_S).is_usual == (least_px < 2.3)
 
 
 def test_large_markers_are_left_to_python():

@@ -208,14 +208,13 @@ def outside_markers(quads_px: Array, known: LocalHomographies) -> BoolArray:
     return np.asarray((distance > known.sides_px() / 2).all(axis=1))
 
 
-def overlaps(centers: ComplexArray, sides_px: Array) -> BoolArray:
-    """Return which of N squares overlap (N, N), each with itself too.
+def overlaps(center: complex, side_px: float, centers: ComplexArray, sides_px: Array) -> BoolArray:
+    """Return which of N squares (N,) one square overlaps.
 
     Two overlap if their centres are less than half the shorter one's side apart. Both boundaries of a
     marker's border do, and one region before and after erosion.
     """
-    reach_px = np.minimum(sides_px[:, None], sides_px) / 2
-    return np.asarray(np.abs(centers[:, None] - centers) < reach_px)
+    return np.asarray(np.abs(centers - center) < np.minimum(sides_px, side_px) / 2)
 
 
 def non_maximum_suppression(
@@ -223,14 +222,17 @@ def non_maximum_suppression(
 ) -> BoolArray:
     """Return the mask (N,) kept by non-maximum suppression among overlapping detections of one id.
 
-    The one of greater merit is kept.
+    The one of greater merit is kept. Memory grows with N, not with its square: a page of text has thousands
+    of candidates.
     """
-    rivals = overlaps(centers, sides_px) & (ids[:, None] == ids)
     kept = np.ones(ids.size, dtype=bool)
-    for row in np.argsort(-merits):
-        if kept[row]:
-            kept &= ~rivals[:, row]
-            kept[row] = True
+    order = np.lexsort((-merits, ids))
+    for rows in np.split(order, np.flatnonzero(np.diff(ids[order])) + 1):
+        while rows.size > 1:
+            best, rows = rows[0], rows[1:]
+            is_rival = overlaps(centers[best], sides_px[best], centers[rows], sides_px[rows])
+            kept[rows[is_rival]] = False
+            rows = rows[~is_rival]
     return kept
 
 

@@ -204,11 +204,11 @@ def _read_squares(image: Image, quads_px: Array, cells: int, border_bits: int) -
 
 def _places(quads_px: Array) -> IntArray:
     """Return the number (N,) of the place of each quadrilateral (N, 4, 2); those of a place overlap."""
-    overlapping = overlaps(to_complex(quads_px).mean(axis=1), sides_of_corners(quads_px))
+    centers, sides_px = to_complex(quads_px).mean(axis=1), sides_of_corners(quads_px)
     places, count = np.full(len(quads_px), -1), 0
     for row in range(len(quads_px)):
         if places[row] < 0:
-            places[overlapping[row] & (places < 0)] = count
+            places[overlaps(centers[row], sides_px[row], centers, sides_px) & (places < 0)] = count
             count += 1
     return places
 

@@ -1,5 +1,6 @@
 """Choice of the candidates that are fitted, once other images have told how the markers are printed."""
 
+import tracemalloc
 from dataclasses import replace
 
 import cv2
@@ -17,6 +18,7 @@ from skyherd.vision.photometric.candidates import (
     decode_outlines,
     find_candidates,
     may_be_cut,
+    non_maximum_suppression,
     outside_markers,
     within_better,
 )
@@ -210,6 +212,30 @@ def test_half_of_a_marker_is_within_the_better_one() -> None:
     assert within(False, False, False) == [False] * 3
     assert within(True, True, True, ids=(22, 22, 3)) == [False] * 3, "one marker found twice"
     assert within(True, False, True, ids=(22, 22, 3)) == [False, True, False]
+
+
+def test_suppression_keeps_the_best_of_each_place_and_id() -> None:
+    """Compared in pairs: what is kept has no better rival that is kept, and everything else has one."""
+    rng = np.random.default_rng(7)
+    count = 600
+    ids, merits = rng.integers(0, 4, count), rng.uniform(size=count)
+    centers, sides_px = rng.uniform(0, 300, (count, 2)) @ [1, 1j], rng.uniform(20, 80, count)
+    kept = non_maximum_suppression(ids, centers, sides_px, merits)
+    near = np.abs(centers[:, None] - centers) < np.minimum(sides_px[:, None], sides_px) / 2
+    beats = near & (ids[:, None] == ids) & (merits[:, None] > merits)
+    assert 50 < kept.sum() < 400
+    np.testing.assert_array_equal(kept, ~(beats & kept[:, None]).any(axis=0))
+
+
+def test_suppression_takes_memory_in_proportion() -> None:
+    """5,000 candidates, as of two megapixels of text; a bit for each pair would take 25 MB."""
+    count = 5000
+    centers, sides_px = 40.0 * np.arange(count) + 0j, np.full(count, 10.0)
+    tracemalloc.start()
+    kept = non_maximum_suppression(np.zeros(count, dtype=np.int64), centers, sides_px, np.ones(count))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert kept.all() and peak < 2e6
 
 
 def rectangle(center: complex, along: complex, ratio: float) -> LocalHomographies:

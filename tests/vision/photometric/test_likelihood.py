@@ -264,6 +264,46 @@ def test_blurred_bits_count_less_than_sharp_ones() -> None:
     assert odds.ids[0] == 5 and odds.against[0, 1] == pytest.approx(most, abs=0.5)
 
 
+@pytest.mark.parametrize("sigma_cells", [0.1, 0.36, 0.72])
+def test_no_log_odds_exceed_those_that_the_blur_allows(sigma_cells) -> None:
+    """Markers and random bits; a sharp marker comes near its ceiling, so that it is no empty bound."""
+    rng = np.random.default_rng(11)
+    cells = [marker_cells("APRILTAG_36h11", number) for number in (5, 301)]
+    cells += [np.pad(rng.random((6, 6)) < 0.5, 1) for _ in range(6)]
+    shown = [cv2.GaussianBlur(card(one), (0, 0), sigma_cells * CELL_PX) for one in cells]
+    odds = [marker_odds(noisy(one, seed), corners(8), "APRILTAG_36h11") for seed, one in enumerate(shown)]
+    log_odds = np.array([one.log_odds[0] for one in odds])
+    ceilings = np.array([one.ceilings[0] for one in odds])
+    assert (log_odds <= ceilings + 1e-9).all()
+    if sigma_cells < likelihood.RESOLVED_CELLS:
+        assert (log_odds[:2] > ceilings[:2] - 0.5).all()
+
+
+def test_lines_are_not_looked_for_where_blur_leaves_no_hope(monkeypatch) -> None:
+    """A marker of 16 bits so blurred that it could not be accepted whatever lies on it."""
+    levels = cv2.GaussianBlur(card(marker_cells("4X4_50", 7)), (0, 0), 0.72 * CELL_PX)
+    given, asked = (noisy(levels, 1), corners(6), "4X4_50"), []
+    without_line = likelihood.without_line
+    monkeypatch.setattr(likelihood, "without_line", lambda *of: asked.append(1) or without_line(*of))
+    odds = marker_odds(*given)
+    assert odds.ids[0] == 7 and odds.ceilings[0] < likelihood.min_robust_log_odds("4X4_50")
+    assert not asked
+    monkeypatch.setattr(likelihood, "min_robust_log_odds", lambda dictionary: -np.inf)
+    marker_odds(*given)
+    assert asked, "the negative control"
+
+
+def test_candidates_are_weighed_alike_in_parts(monkeypatch) -> None:
+    image = noisy(card(marker_cells("APRILTAG_36h11", 301)), 1)
+    places = np.concatenate([corners(8), corners(8) + 1.5, corners(8, 2), corners(8) - 1])
+    whole = marker_odds(image, places, "APRILTAG_36h11")
+    monkeypatch.setattr(likelihood, "CANDIDATES_AT_ONCE", 3)
+    parts = marker_odds(image, places, "APRILTAG_36h11")
+    assert np.isfinite(whole.log_odds).sum() > 1
+    np.testing.assert_allclose(parts.log_odds, whole.log_odds, rtol=1e-6)
+    np.testing.assert_array_equal(parts.turns, whole.turns)
+
+
 def test_shaded_half_of_a_marker_is_not_taken_for_black() -> None:
     """Id 8 with the light of one half times 0.25 resembles id 28, whose other half is black."""
     levels = card(marker_cells("4X4_50", 8))

@@ -75,6 +75,10 @@ Two bits of 4X4_50 may be unreadable then. Chosen with other seeds than those of
 (`docs/conditions.md`): under glare, shade and pen lines a twelfth more markers are found than without, for
 one more false positive in 32,000 shapes. At 5.5 it is a seventh more, for five."""
 
+CANDIDATES_AT_ONCE = 128
+"""Candidates whose readings and patterns are in memory together. Chosen: they take 10 MB, however many
+candidates a page of text has."""
+
 MAX_CONTRADICTION, MIN_LOCAL_RANGE = 0.07, 0.15
 """Largest share of cells that their neighbours may contradict, and the range among neighbours, as share of
 the marker's, from which they count. Chosen: between what blur or glare changes and a shaded half."""
@@ -126,6 +130,7 @@ class MarkerOdds(RowRecord):
         contrasts: (N,) grey levels from black to white.
         noise_stds: (N,) standard deviation of the readings' errors, share of their range.
         outlier_shares: (N,) share of the marker's parts that are outliers.
+        ceilings: (N,) log odds that it would have at most, by its blur, with every bit beyond doubt.
     """
 
     ids: IntArray
@@ -136,6 +141,7 @@ class MarkerOdds(RowRecord):
     contrasts: Array
     noise_stds: Array
     outlier_shares: Array
+    ceilings: Array
 
 
 @dataclass(frozen=True)
@@ -160,7 +166,12 @@ def most_log_odds(dictionary: str) -> float:
     with a the probability `SPOILT_CELLS`: 8.5 for 4X4_50 and 19.5 for 36h11. Clutter with the bits of a
     marker has as much.
     """
-    bits = (cells_per_side(dictionary) - 2 * border_cells(dictionary)) ** 2
+    return _most_log_odds(dictionary, 1.0)
+
+
+def _most_log_odds(dictionary: str, resolved_share: float) -> float:
+    """Return the most log odds with a share of the bits independent; see `most_log_odds`."""
+    bits = resolved_share * (cells_per_side(dictionary) - 2 * border_cells(dictionary)) ** 2
     tried = math.log(4 * dictionary_size(dictionary))
     return bits * math.log(2 * (1 - SPOILT_CELLS)) - tried - math.log(BITS_ODDS)
 
@@ -187,9 +198,10 @@ def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
     """
     odds = no_odds(np.zeros(len(corners_px), dtype=np.int64))
     whole = np.flatnonzero(_bits_in_image(image, corners_px, dictionary))
-    if not whole.size:
-        return odds
-    return odds.put(whole, _odds_in_image(image, corners_px[whole], dictionary))
+    for begin in range(0, whole.size, CANDIDATES_AT_ONCE):
+        rows = whole[begin : begin + CANDIDATES_AT_ONCE]
+        odds = odds.put(rows, _odds_in_image(image, corners_px[rows], dictionary))
+    return odds
 
 
 def _bits_in_image(image: Image, corners_px: Array, dictionary: str) -> BoolArray:
@@ -223,6 +235,8 @@ def _without(
 ) -> MarkerOdds:
     """Return odds, those of doubtful candidates without what lies on them where these are greater.
 
+    A candidate so blurred that no bits could make it a marker is left as it is: most letters of a page are.
+
     Args:
         odds: of N candidates so far.
         readings: of the candidates.
@@ -235,6 +249,7 @@ def _without(
     for _ in range(most):
         so_far = odds.take(rows)
         doubtful = so_far.log_odds < min_log_odds(dictionary)
+        doubtful &= so_far.ceilings >= min_robust_log_odds(dictionary)
         rows, clear = _only(rows, clear, doubtful & _is_hopeful(so_far, least))
         if not rows.size:
             break
@@ -276,7 +291,7 @@ def no_odds(codes: IntArray) -> MarkerOdds:
     count, (ids, turns) = len(codes), np.divmod(codes, 4)
     never, nothing = np.full(count, -np.inf), np.zeros(count)
     against = np.full((count, 4), -np.inf)
-    return MarkerOdds(ids, turns, never, against, nothing, nothing, np.full(count, np.inf), nothing)
+    return MarkerOdds(ids, turns, never, against, nothing, nothing, np.full(count, np.inf), nothing, never)
 
 
 def _is_hopeful(odds: MarkerOdds, least: tuple[float, float] = FIRST_LOG_ODDS) -> BoolArray:
@@ -323,7 +338,9 @@ def _odds_of_codes(
     against[:, 1] = _resolved_shares()[blur] * bits - tried - math.log(BITS_ODDS)
     log_odds = np.full(len(codes), -np.inf)
     if not first:
-        hopeful = seen & (against.min(axis=1) > HOPELESS)
+        wrong_shares = _contradictions(readings, black_cells(dictionary)[code] < 0.5)
+        is_possible = seen & (wrong_shares <= MAX_CONTRADICTION)
+        hopeful = is_possible & (against.min(axis=1) > HOPELESS)
         for number, clip in np.unique(np.column_stack([blur, clips])[hopeful], axis=0):
             few = np.flatnonzero(hopeful & (blur == number) & (clips == clip))
             these, spread = readings.take(few), BLURS_CELLS[number]
@@ -331,13 +348,13 @@ def _odds_of_codes(
             grids = _log_grids(these, white[few], spread, dictionary, clips=bool(clip))
             against[few, 2] = logs[few] - tried - rectangles
             against[few, 3] = logs[few] - tried - grids
-        log_odds = np.where(seen, -np.logaddexp.reduce(-against, axis=1), -np.inf)
-        log_odds[_contradictions(readings, black_cells(dictionary)[code] < 0.5) > MAX_CONTRADICTION] = -np.inf
+        log_odds = np.where(is_possible, -np.logaddexp.reduce(-against, axis=1), -np.inf)
     against[~seen] = -np.inf
     ids, turns = np.divmod(code, 4)
     outliers = fits.outlier_shares[rows, best]
     blacks, levels = fits.levels[rows, best, :2].T
-    return MarkerOdds(ids, turns, log_odds, against, blacks, levels, std, outliers)
+    ceilings = _ceilings(dictionary)[blur]
+    return MarkerOdds(ids, turns, log_odds, against, blacks, levels, std, outliers, ceilings)
 
 
 def _contradictions(readings: Readings, white: BoolArray) -> Array:
@@ -377,6 +394,12 @@ def _cell_responses(n_cells: int, *, clips: bool) -> Array:
 def _resolved_shares() -> Array:
     """Return share (blurs,) of the bits that are independent of their neighbours under a blur."""
     return np.array([math.prod(min(1.0, RESOLVED_CELLS / value) for value in blur) for blur in BLURS_CELLS])
+
+
+@lru_cache(maxsize=16)
+def _ceilings(dictionary: str) -> Array:
+    """Return the most log odds (blurs,) under a blur; see `most_log_odds`."""
+    return np.array([_most_log_odds(dictionary, share) for share in _resolved_shares()])
 
 
 def _log_bits(

@@ -16,6 +16,7 @@ import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.vision.native.pattern_records import PARTS
+from skyherd.vision.native.records import Floats
 from skyherd.vision.photometric.evidence.pattern_fit import columns_of, densities, fit_patterns, whiteness
 from skyherd.vision.photometric.evidence.readings import Readings, nearest_patterns, part_places
 
@@ -60,18 +61,18 @@ def _log_ratios(readings: Readings, patterns: Array) -> Array:
     priors, weights = columns_of(readings.n_cells).outlier_priors, readings.weights[:, None] * readings.seen
     has_contrast = np.isfinite(fits.logs)
     logs = np.where(has_contrast, fits.logs, np.finfo(float).min)
-    parts = []
+    of_parts, offsets = [], []
     for code, pattern in enumerate(np.moveaxis(patterns, 1, 0)):
         white, contrasts = whiteness(readings, fits, np.full(len(patterns), code))
         shares = contrasts / readings.scales[:, None]
         own = np.log(densities((white - pattern) * shares, fits.stds[:, code, None], priors)[1])
-        than_likeliest = logs[:, code] - logs.max(axis=1)
         for level in LEVELS:
             line = np.log(densities((white - level) * shares, LINE_STD * shares, priors)[1])
             differs = np.abs(pattern - level) > OWN_DIFFERENCE
-            ratios = lines.sums(weights * differs * (line - own)) + than_likeliest[:, None]
-            parts.append(np.where(has_contrast[:, code, None], ratios, -np.inf))
-    return np.concatenate(parts, axis=1)
+            of_parts.append(weights * differs * (line - own))
+            offsets.append(np.where(has_contrast[:, code], logs[:, code] - logs.max(axis=1), -np.inf))
+    ratios = lines.sums(np.stack(of_parts, axis=1)) + np.stack(offsets, axis=1)[..., None]
+    return np.asarray(ratios.reshape(len(patterns), -1))
 
 
 @dataclass(frozen=True)
@@ -80,32 +81,25 @@ class _Lines:
 
     Attributes:
         places: (D, parts) of parts across the lines, parts from the centre.
-        order: (D, parts) of these places.
         offsets: (L,) of the lines, parts from the centre.
         widths: (L,) of the lines, parts.
-        begins: (D, L) index in `order` of the first part of each line.
-        ends: (D, L) index behind the last one.
+        covers: (parts, D L) 1 for the parts that each line covers, else 0.
     """
 
     places: Array
-    order: IntArray
     offsets: Array
     widths: Array
-    begins: IntArray
-    ends: IntArray
+    covers: Floats
 
     @property
     def count(self) -> int:
         """Number of lines, D L."""
-        return self.begins.size
+        return len(self.places) * self.offsets.size
 
     def sums(self, values: Array) -> Array:
-        """Return the sums (N, D L) of values (N, parts) over each line."""
-        totals = np.zeros((len(values), len(self.order), values.shape[1] + 1))
-        np.cumsum(values[:, self.order], axis=2, out=totals[:, :, 1:])
-        direction = np.arange(len(self.order))[:, None]
-        sums = totals[:, direction, self.ends] - totals[:, direction, self.begins]
-        return np.asarray(sums.reshape(len(values), -1))
+        """Return the sums (..., D L) of values (..., parts) over each line."""
+        rows = values.reshape(-1, values.shape[-1]).astype(np.float32) @ self.covers
+        return rows.reshape(*values.shape[:-1], self.count).astype(float)
 
     def covered(self, lines: IntArray) -> BoolArray:
         """Return the parts (N, parts) that each of N lines covers, with its halo."""
@@ -124,7 +118,6 @@ def _lines(n_cells: int) -> _Lines:
     )
     steps = np.arange(-reach, reach + STEP_PARTS / 2, STEP_PARTS)
     offsets, widths = (part.ravel() for part in np.meshgrid(steps, WIDTHS_PARTS))
-    ascending = np.sort(places, axis=1)
-    begins = np.stack([np.searchsorted(one, offsets - widths / 2, "left") for one in ascending])
-    ends = np.stack([np.searchsorted(one, offsets + widths / 2, "right") for one in ascending])
-    return _Lines(places, places.argsort(axis=1), offsets, widths, begins, ends)
+    away = np.abs(places[:, None] - offsets[:, None])
+    covers = (away <= widths[:, None] / 2).reshape(-1, places.shape[1])
+    return _Lines(places, offsets, widths, np.ascontiguousarray(covers.T, dtype=np.float32))

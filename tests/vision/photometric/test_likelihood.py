@@ -15,7 +15,7 @@ from skyherd.messages import Quality
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.native.library import declared
 from skyherd.vision.native.pattern_records import PARTS
-from skyherd.vision.photometric.evidence import likelihood, pattern_fit
+from skyherd.vision.photometric.evidence import likelihood, pattern_fit, random_bits
 from skyherd.vision.photometric.evidence import readings as readings_module
 from skyherd.vision.photometric.evidence.likelihood import marker_odds, min_log_odds
 from skyherd.vision.photometric.evidence.pattern_fit import fit_patterns
@@ -275,7 +275,7 @@ def test_no_log_odds_exceed_those_that_the_blur_allows(sigma_cells) -> None:
     log_odds = np.array([one.log_odds[0] for one in odds])
     ceilings = np.array([one.ceilings[0] for one in odds])
     assert (log_odds <= ceilings + 1e-9).all()
-    if sigma_cells < likelihood.RESOLVED_CELLS:
+    if sigma_cells < random_bits.RESOLVED_CELLS:
         assert (log_odds[:2] > ceilings[:2] - 0.5).all()
 
 

@@ -8,9 +8,9 @@ and quarter turn k among the 4 D of a dictionary, the log odds are
     log L_k - log 4D - log Σ_j o_j L_j
 
 over four kinds of other hypotheses j, with prior odds o_j against a marker: other codes; the same grid with
-bits of any colour, each by chance; a dark square with a light rectangle; a square of another grid with the
-bits that it shows, at `2^-bits`. The number of hypotheses tried, 4 D, is part of the odds, so that one
-threshold serves all dictionaries.
+bits of any colour, each by chance; a square of another grid with the bits that it shows, at `2^-bits` (both
+in `random_bits`); a dark square with a light rectangle (`rectangles`). The number of hypotheses tried, 4 D,
+is part of the odds, so that one threshold serves all dictionaries.
 """
 
 import math
@@ -18,49 +18,35 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 
 from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.markers.blur_model import gather
 from skyherd.markers.dictionary import border_cells, cells_per_side, dictionary_size
 from skyherd.vision.grey import Image
-from skyherd.vision.native.pattern_records import PARTS
 from skyherd.vision.photometric.evidence.lines import without_line
 from skyherd.vision.photometric.evidence.pattern_fit import (
-    columns_of,
-    densities,
     fit_cards,
     fit_patterns,
     whiteness,
+)
+from skyherd.vision.photometric.evidence.random_bits import (
+    SPOILT_CELLS,
+    Drawn,
+    log_bits,
+    log_grids,
+    resolved_shares,
 )
 from skyherd.vision.photometric.evidence.readings import (
     BLURS_CELLS,
     Readings,
     black_cells,
-    cell_edges,
-    cell_shares,
     draw_codes,
     exposed,
     nearest_codes,
-    part_places,
 )
 from skyherd.vision.photometric.evidence.rectangles import log_rectangles
 from skyherd.vision.photometric.evidence.shade import without_shade
 from skyherd.vision.row_record import RowRecord
-
-SPOILT_CELLS = 0.02
-"""Prior probability that a cell shows the other colour, as under glare, a cover or where ink is worn. Chosen:
-a marker of 36 bits then keeps enough evidence with two such cells, and one of 16 bits does not with one."""
-
-RESOLVED_CELLS = 0.5
-"""Blur, cells, up to which the bits of a marker are independent of each other. Chosen: contrast at the finest
-pattern, `exp(-π² σ² / 2)`, is then 0.3. Beyond it the number of independent bits falls with the blur along
-each axis. Measured: without it, one in 700 blurred squares of 16 px with text passes for one of the 587
-markers of 36h11."""
-
-OTHER_GRIDS = (3, 4, 5, 6, 7, 8)
-"""Bits along the side of other grids. Chosen: those of common dictionaries."""
 
 BITS_ODDS, RECTANGLES_ODDS, GRIDS_ODDS = 0.05, 0.03, 0.05
 """Prior odds of each kind of clutter against a marker. Chosen."""
@@ -142,21 +128,6 @@ class MarkerOdds(RowRecord):
     noise_stds: Array
     outlier_shares: Array
     ceilings: Array
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """A pattern of each of N candidates.
-
-    Attributes:
-        white: (N, parts) whiteness, 0 to 1, before the image clips.
-        blurs: (N,) numbers of its blurs in `BLURS_CELLS`.
-        clips: (N,) whether the image clips.
-    """
-
-    white: Array
-    blurs: IntArray
-    clips: BoolArray
 
 
 def most_log_odds(dictionary: str) -> float:
@@ -334,8 +305,8 @@ def _odds_of_codes(
     against[:, 0] = logs - np.logaddexp.reduce(others, axis=1)
     white, contrasts = whiteness(readings, fits, best)
     shares = contrasts / readings.scales[:, None]
-    bits = _log_bits(readings, white, shares, Drawn(pattern, blur, clips), std, dictionary)
-    against[:, 1] = _resolved_shares()[blur] * bits - tried - math.log(BITS_ODDS)
+    bits = log_bits(readings, white, shares, Drawn(pattern, blur, clips), std, dictionary)
+    against[:, 1] = resolved_shares()[blur] * bits - tried - math.log(BITS_ODDS)
     log_odds = np.full(len(codes), -np.inf)
     if not first:
         wrong_shares = _contradictions(readings, black_cells(dictionary)[code] < 0.5)
@@ -345,9 +316,9 @@ def _odds_of_codes(
             few = np.flatnonzero(hopeful & (blur == number) & (clips == clip))
             these, spread = readings.take(few), BLURS_CELLS[number]
             rectangles = log_rectangles(these, spread, clips=bool(clip)) + math.log(RECTANGLES_ODDS)
-            grids = _log_grids(these, white[few], spread, dictionary, clips=bool(clip))
+            grids = log_grids(these, white[few], spread, dictionary, clips=bool(clip))
             against[few, 2] = logs[few] - tried - rectangles
-            against[few, 3] = logs[few] - tried - grids
+            against[few, 3] = logs[few] - tried - grids - math.log(GRIDS_ODDS)
         log_odds = np.where(is_possible, -np.logaddexp.reduce(-against, axis=1), -np.inf)
     against[~seen] = -np.inf
     ids, turns = np.divmod(code, 4)
@@ -375,78 +346,7 @@ def _contradictions(readings: Readings, white: BoolArray) -> Array:
     return np.asarray((wrong & differ).mean(axis=(1, 2)))
 
 
-@lru_cache(maxsize=64)
-def _cell_responses(n_cells: int, *, clips: bool) -> Array:
-    """Return how much (blurs, parts) the colour of a part's own cell changes it before the image clips."""
-    rows, places = np.arange(PARTS * (n_cells + 2)), part_places(n_cells)
-    own = []
-    for blur in BLURS_CELLS:
-        axes = []
-        for value in blur:
-            edges = cell_edges(n_cells, n_cells, value, clips=clips)
-            ends = [2 * edges[0] - edges[1]], [2 * edges[-1] - edges[-2]]
-            axes.append(gather(places, np.concatenate([ends[0], edges, ends[1]]), value)[rows, rows // PARTS])
-        own.append((axes[1][:, None] * axes[0]).ravel())
-    return np.stack(own)
-
-
-@lru_cache(maxsize=1)
-def _resolved_shares() -> Array:
-    """Return share (blurs,) of the bits that are independent of their neighbours under a blur."""
-    return np.array([math.prod(min(1.0, RESOLVED_CELLS / value) for value in blur) for blur in BLURS_CELLS])
-
-
 @lru_cache(maxsize=16)
 def _ceilings(dictionary: str) -> Array:
     """Return the most log odds (blurs,) under a blur; see `most_log_odds`."""
-    return np.array([_most_log_odds(dictionary, share) for share in _resolved_shares()])
-
-
-def _log_bits(
-    readings: Readings, white: Array, shares: Array, drawn: Drawn, stds: Array, dictionary: str
-) -> Array:
-    """Return the log likelihood ratio (N,) of the patterns' bits to bits by chance.
-
-    Args:
-        readings: of N candidates.
-        white: (N, parts) whiteness that is read.
-        shares: (N, parts) contrasts, share of the readings' range.
-        drawn: the patterns.
-        stds: (N,) noise, share of the readings' range.
-        dictionary: of the markers.
-    """
-    n, border = readings.n_cells, border_cells(dictionary)
-    clips = drawn.clips[:, None]
-    response = np.where(clips, *(_cell_responses(n, clips=clip)[drawn.blurs] for clip in (True, False)))
-    flipped = drawn.white + response * np.where(drawn.white > 0.5, -1, 1)
-    priors, std = columns_of(n).outlier_priors, stds[:, None]
-    inner = np.s_[:, 1 + border : -1 - border, 1 + border : -1 - border]
-    own, other = (
-        readings.weights[:, None, None]
-        * (readings.seen * np.log(densities((white - exposed(pattern, clips)) * shares, std, priors)[1]))
-        .reshape(-1, n + 2, PARTS, n + 2, PARTS)
-        .sum(axis=(2, 4))[inner]
-        for pattern in (drawn.white, flipped)
-    )
-    spoilt = np.logaddexp(math.log(1 - SPOILT_CELLS) + own, math.log(SPOILT_CELLS) + other)
-    return np.asarray((spoilt + math.log(2) - np.logaddexp(own, other)).sum(axis=(1, 2)))
-
-
-def _log_grids(
-    readings: Readings, whiteness: Array, blur: tuple[float, float], dictionary: str, *, clips: bool
-) -> Array:
-    """Return the log posterior (N,) of squares of other grids, with the bits that readings show."""
-    n = readings.n_cells
-    side = PARTS * (n + 2)
-    inside = whiteness.reshape(-1, side, side)[:, PARTS:-PARTS, PARTS:-PARTS].astype(np.float32)
-    others = [bits for bits in OTHER_GRIDS if border_cells(dictionary) > 1 or bits != n - 2]
-    drawn = []
-    for bits in others:
-        size = (bits + 2, bits + 2)
-        black = np.stack([cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in inside]) < 0.5
-        black[:, [0, -1]] = black[:, :, [0, -1]] = True
-        along, down = (cell_shares(bits + 2, n, value, clips=clips) for value in blur)
-        drawn.append(exposed(1 - down @ black.astype(float) @ along.T, clips).reshape(len(inside), -1))
-    fits = fit_cards(readings, np.stack(drawn, axis=1))
-    costs = -math.log(2) * np.square(others)
-    return np.asarray(np.logaddexp.reduce(fits.logs + costs, axis=1) + math.log(GRIDS_ODDS))
+    return np.array([_most_log_odds(dictionary, share) for share in resolved_shares()])

@@ -15,6 +15,7 @@ from skyherd.messages import Quality
 from skyherd.vision import PhotometricDetector
 from skyherd.vision.native.library import declared
 from skyherd.vision.native.pattern_records import PARTS
+from skyherd.vision.photometric import measure
 from skyherd.vision.photometric.evidence import likelihood, pattern_fit, random_bits
 from skyherd.vision.photometric.evidence import readings as readings_module
 from skyherd.vision.photometric.evidence.likelihood import marker_odds, min_log_odds
@@ -217,24 +218,46 @@ def test_light_rectangle_like_marker_17_is_refused(box, blur_px) -> None:
     assert odds.against[0, [0, 1, 3]].min() > min_log_odds("4X4_50") - 0.5
 
 
+def light_rectangle(
+    box: tuple[float, ...], margin_cells: float, ground: float, white: float, light: float, blur_px: float
+) -> np.ndarray:
+    """An image of a dark square on a white card, with a light box (top, bottom, left, right), in cells."""
+    levels = fine(np.full_like(card(np.zeros((6, 6), dtype=bool)), ground))
+    card_box = (-margin_cells, 6 + margin_cells) * 2
+    for edges, level in ((card_box, white), ((0, 6, 0, 6), 30), (box, light)):
+        top, bottom, left, right = (round(4 * (MARGIN_PX + edge * CELL_PX)) for edge in edges)
+        levels[top:bottom, left:right] = level
+    small = cv2.resize(levels, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    return noisy(cv2.GaussianBlur(small, (0, 0), blur_px), 1)
+
+
 @pytest.mark.parametrize(
     ("box", "margin_cells", "ground", "light", "blur_px"),
     [
         ((0.83, 3.48, 1.98, 3.85), 0.59, 62, 234, 0.89),
         ((0.78, 3.41, 1.98, 3.87), 0.76, 107, 194, 1.72),
+        ((0.5, 3.0, 2.0, 4.0), 0.75, 120, 240, 1.2),
+        ((0.5, 3.0, 2.0, 4.0), 0.0, 120, 240, 1.2),
     ],
 )
 def test_light_rectangle_on_a_narrow_card_is_refused(box, margin_cells, ground, light, blur_px) -> None:
     """The ground beyond the card does not count against the rectangle alone."""
-    levels = fine(np.full_like(card(np.zeros((6, 6), dtype=bool)), ground))
-    card_box = (-margin_cells, 6 + margin_cells) * 2
-    for edges, level in ((card_box, 240), ((0, 6, 0, 6), 30), (box, light)):
-        top, bottom, left, right = (round(4 * (MARGIN_PX + edge * CELL_PX)) for edge in edges)
-        levels[top:bottom, left:right] = level
-    small = cv2.resize(levels, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
-    odds = marker_odds(noisy(cv2.GaussianBlur(small, (0, 0), blur_px), 1), corners(6), "4X4_50")
+    image = light_rectangle(box, margin_cells, ground, 240, light, blur_px)
+    odds = marker_odds(image, corners(6), "4X4_50")
     assert odds.ids[0] == 17 and odds.log_odds[0] < min_log_odds("4X4_50")
     assert odds.against[0, [0, 1, 3]].min() > min_log_odds("4X4_50") - 0.5
+
+
+@pytest.mark.parametrize(
+    ("box", "light", "blur_px"), [((0.67, 3.27, 2.06, 4.14), 191, 0.6), ((0.84, 3.32, 1.9, 3.94), 188, 0.56)]
+)
+def test_what_is_rather_no_marker_is_not_refitted(box, light, blur_px, monkeypatch) -> None:
+    """A refit to the visible pixels would take a part of the rectangle for a cover, and verify marker 17."""
+    image = light_rectangle(box, 1.0, 120, 200, light, blur_px)
+    assert marker_odds(image, corners(6), "4X4_50").log_odds[0] < 0
+    assert PhotometricDetector("4X4_50", following=False).detect(image).ids.size == 0
+    monkeypatch.setattr(measure, "MIN_REFIT_LOG_ODDS", -2.0)
+    assert PhotometricDetector("4X4_50", following=False).detect(image).ids.tolist() == [17]
 
 
 @pytest.mark.parametrize(("marker", "bits"), [(3, 6), (9, 7), (19, 5), (5, 8)])

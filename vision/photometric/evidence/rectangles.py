@@ -112,10 +112,11 @@ def _log_fits(readings: Readings, drawn: Array, ground: Array, *, clips: bool) -
     wide = fit(exposed(drawn, clips), exposed(ground[None], clips))
     best = np.arange(len(drawn)), wide.logs.argmax(axis=1)
     black, contrast = wide.levels[best][:, 0], np.maximum(wide.levels[best][:, 1], MIN_CONTRAST)
-    narrow = []
-    for beyond in narrow_grounds(readings.n_cells)[1:]:  # without that of no width
+    no_card, *cards = narrow_grounds(readings.n_cells)
+    narrow = [fit(exposed(drawn + ground, clips), no_card[None]).logs]
+    for beyond in cards:
         card = np.maximum(ground - beyond, 0.0)
-        whiteness = (readings.levels @ (card / card.sum()) - black) / contrast
+        whiteness = (readings.levels - black[:, None]) @ card / (contrast * (ground @ card))
         on_card = drawn + whiteness[:, None, None] * ground
         narrow.append(fit(exposed(on_card, clips), beyond[None]).logs)
     logs = np.logaddexp.reduce(narrow, axis=0) + math.log(NARROW_ODDS / len(narrow))

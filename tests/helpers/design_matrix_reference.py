@@ -14,8 +14,10 @@ from tests.helpers.homography_reference import blur_anisotropies
 from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray
 from skyherd.vision.grey import Image
 from skyherd.vision.native.records import UNKNOWNS, Floats
-from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
+from skyherd.vision.photometric.fitting.appearance import TEXTURE, MarkerAppearances
 from skyherd.vision.photometric.fitting.design_matrix import (
+    BLACK,
+    GROUND,
     MAX_GROWTH,
     MIN_VARIANCE_PX2,
     SIGMA_LIMITS,
@@ -63,7 +65,7 @@ class DesignMatrices:
         self.places, self.pixels = map(self._data.by_pixels, (self._data.places, self._data.pixels))
         self.bends = np.zeros((0, 3), dtype=np.float32)
         image, elliptic = np.ascontiguousarray(image), is_elliptic(appearances, homographies)
-        if elliptic.any():
+        if elliptic.any() or appearances.surroundings.is_bare().any():
             self._fill_apart(image, markers, homographies, appearances, elliptic)
         else:
             stages().fill_round(image, markers, appearances.cells, appearances.texture, self._data)
@@ -77,13 +79,18 @@ class DesignMatrices:
         appearances: MarkerAppearances,
         elliptic: BoolArray,
     ) -> None:
-        """Fill in the pixels of markers of which some are `elliptic` (N,), each run of a kind by itself."""
+        """Fill in the pixels of markers of which some are `elliptic` (N,) or bare, run by run of a kind."""
         bends = np.zeros((len(self._data.columns), 3, BLOCK_PX), dtype=np.float32)
         tables = blur_tables(homographies, markers["sigma"], appearances.streak_px2 or 0j)
         markers["keystone"] = np.where(elliptic, homographies.keystones(), markers["keystone"])
-        runs = [0, *(np.flatnonzero(np.diff(elliptic)) + 1).tolist(), self.rows.size]
-        about = appearances.cells, appearances.texture, self._data
+        textures = textures_over_noise(appearances)
+        runs = [
+            0,
+            *(np.flatnonzero(np.diff(elliptic) | (np.diff(textures) != 0)) + 1).tolist(),
+            self.rows.size,
+        ]
         for first, end in pairwise(runs):
+            about = appearances.cells, float(textures[first]), self._data
             if elliptic[first]:
                 stages().fill_elliptic(image, markers, tables, *about, bends, first, end)
             else:
@@ -105,14 +112,32 @@ class DesignMatrices:
         """Return the weighted residuals (P,), grey levels, of the model at `solutions` (N, 15)."""
         return stages().residuals(self._data, np.ascontiguousarray(solutions, dtype=np.float32))
 
-    def cell_residuals(self, solutions: Array, n_cells: int) -> tuple[Array, Array]:
+    def cell_residuals(self, solutions: Array, n_cells: int) -> tuple[Array, Array, Array]:
         """Return what the model at `solutions` (N, 15) leaves of the pixels, grey levels.
 
         Returns:
-            The mean residual over each cell (N, n, n), and the largest absolute residual of a pixel (N,).
+            The mean residual over each cell (N, n, n), the largest absolute residual of a pixel (N,), and the
+            mean residual of the pixels beside the marker (N,).
         """
-        sums, used, _, peaks = self._sums_over_cells(solutions, n_cells)
-        return sums / np.maximum(used, 1), peaks
+        sums, used, _, peaks, besides = self._sums_over_cells(solutions, n_cells)
+        return sums / np.maximum(used, 1), peaks, besides
+
+    def ground_textures(self, solutions: Array, noise: float) -> Array:
+        """Return the textures (N,) of the ground around markers without cards, grey levels.
+
+        `noise` is the standard deviation of a pixel, grey levels.
+        """
+        textures = np.zeros(self.rows.size)
+        left = self.residuals(solutions)
+        for row, (begin, end) in enumerate(pairwise(self.bounds.tolist())):
+            columns = self.columns[begin:end].astype(float)
+            weighted = columns[:, BLACK] > 0
+            weights = np.where(weighted, columns[:, BLACK], 1.0)
+            shares, own = columns[:, GROUND] / weights, left[begin:end] / weights
+            counted = weighted & (shares > 0.5)
+            excess = (own[counted] ** 2 - noise**2).sum() / max((shares[counted] ** 2).sum(), 1e-12)
+            textures[row] = np.sqrt(max(excess, 0.0))
+        return textures
 
     def squared_box_sums(
         self, solutions: Array, influences: Array, picked: IntArray, box_px: int
@@ -132,8 +157,8 @@ class DesignMatrices:
         model, by = (np.ascontiguousarray(factors, dtype=np.float32) for factors in (solutions, influences))
         return stages().squared_box_sums(self._data, model, by, picked, box_px)
 
-    def _sums_over_cells(self, solutions: Array, n_cells: int) -> tuple[Array, Array, Array, Array]:
-        """Residuals, pixels used and pixels read over each cell (N, n, n), and largest residuals (N,)."""
+    def _sums_over_cells(self, solutions: Array, n_cells: int) -> tuple[Array, Array, Array, Array, Array]:
+        """Return the result of `FitStages.cell_sums`."""
         model = np.ascontiguousarray(solutions, dtype=np.float32)
         return stages().cell_sums(self._data, model, n_cells)
 
@@ -157,6 +182,8 @@ def _markers(homographies: LocalHomographies, appearances: MarkerAppearances) ->
     markers["sigma"] = np.clip(appearances.sigmas, *SIGMA_LIMITS)
     markers["black_ratio"] = appearances.black_ratios
     markers["half_card"] = np.where(appearances.reaches_ground, appearances.half_card, np.inf)
+    bare = appearances.surroundings.is_bare()
+    markers["ground_level"], markers["is_bare"] = np.where(bare, appearances.surroundings.levels, 0.0), bare
     spread = np.sqrt(1 + np.abs(relative) ** 2)
     markers["x_stretch"], markers["y_stretch"] = np.abs(1 - relative) / spread, np.abs(1 + relative) / spread
     if appearances.round_in_image:
@@ -168,7 +195,15 @@ def _markers(homographies: LocalHomographies, appearances: MarkerAppearances) ->
 def taken(appearances: MarkerAppearances, rows: IntArray) -> MarkerAppearances:
     """Return the appearances of the markers at indices `rows` (K,)."""
     names = ("cells", "sigmas", "read_limits", "reaches_ground", "black_ratios")
-    return replace(appearances, **{name: getattr(appearances, name)[rows] for name in names})
+    parts = {name: getattr(appearances, name)[rows] for name in names}
+    return replace(appearances, surroundings=appearances.surroundings.take(rows), **parts)
+
+
+def textures_over_noise(appearances: MarkerAppearances) -> Array:
+    """Return the textures (N,) that N markers are drawn with, over the noise, in single precision as in C."""
+    around, noise = appearances.surroundings, TEXTURE / appearances.texture
+    textures = np.where(around.is_bare(), around.textures / noise, appearances.texture)
+    return textures.astype(np.float32).astype(float)
 
 
 def is_elliptic(appearances: MarkerAppearances, homographies: LocalHomographies) -> BoolArray:

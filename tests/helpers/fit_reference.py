@@ -43,6 +43,7 @@ from skyherd.vision.photometric.fitting.design_matrix import (
     BLACK,
     BLUR,
     CONTRAST,
+    GROUND,
     KEYSTONE,
     LIGHT,
     TONE,
@@ -66,6 +67,7 @@ from skyherd.vision.photometric.fitting.fit_result import (
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import MIN_MARKERS_ON_PLANE, MIN_SHARE_ON_PLANE, Plane
 from skyherd.vision.photometric.fitting.streak_evidence import StreakEvidence
+from skyherd.vision.photometric.fitting.surroundings import Surroundings
 
 NO_PERSPECTIVE = 0j
 """The perspective of a marker without keystone, 1/px."""
@@ -109,19 +111,31 @@ class PixelSamples:
 
     def cell_residuals(
         self, rows: IntArray, solution: LeastSquaresSolution, n_cells: int
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array, Array]:
         """Return what a solution of all N markers leaves of the pixels of the markers `rows` (R,).
 
         Returns:
-            The mean residual over each cell (R, n, n), and the largest absolute residual of a pixel (R,),
-            both in grey levels.
+            The mean residual over each cell (R, n, n), the largest absolute residual of a pixel (R,), and the
+            mean residual of the pixels beside the marker (R,), in grey levels.
         """
-        means, peaks = np.empty((self._counts.size, n_cells, n_cells)), np.empty(self._counts.size)
+        means = np.empty((self._counts.size, n_cells, n_cells))
+        peaks, besides = np.empty((2, self._counts.size))
         for pixels in self._latest_parts(rows):
-            means[pixels.rows], peaks[pixels.rows] = pixels.cell_residuals(
-                solution.values[pixels.rows], n_cells
-            )
-        return means[rows], peaks[rows]
+            here = pixels.rows
+            means[here], peaks[here], besides[here] = pixels.cell_residuals(solution.values[here], n_cells)
+        return means[rows], peaks[rows], besides[rows]
+
+    def learned(
+        self, surroundings: Surroundings, solution: LeastSquaresSolution, noise: float
+    ) -> Surroundings:
+        """Return the surroundings of all N markers after a solution; those of bare ones change."""
+        levels, textures = surroundings.levels.copy(), surroundings.textures.copy()
+        for pixels in self._latest_parts(np.flatnonzero(surroundings.is_bare())):
+            bare = surroundings.is_bare()[pixels.rows]
+            here, values = pixels.rows[bare], solution.values[pixels.rows]
+            levels[here] = (values[:, GROUND] / solution.contrasts()[pixels.rows]).clip(-1, 1)[bare]
+            textures[here] = pixels.ground_textures(values, noise)[bare]
+        return Surroundings(levels, textures)
 
     def variance_ratios(
         self, right: BoolArray, solution: LeastSquaresSolution, homographies: LocalHomographies
@@ -164,12 +178,13 @@ def fit_markers(
     *,
     alone=False,
     streak_px2=None,
+    surroundings=None,
 ):
     """Return what the function of this name in `skyherd.vision.photometric.fitting.fit` does."""
     middle = image_middle(image)
     sides_px = homographies.sides_px()
     blurs = homographies.blurs(sigma_px)
-    appearances = appearances_of(dictionary, ids, blurs, plane, noise, streak_px2)
+    appearances = appearances_of(dictionary, ids, blurs, plane, noise, streak_px2, surroundings)
     samples, n_cells = PixelSamples(ids.size), cells_per_side(dictionary)
     if plane.shared and plane != Plane():
         homographies = replace(
@@ -182,7 +197,7 @@ def fit_markers(
         samples.read(image, rows, start, appearances)
         solution = samples.solution()
         if number > 1:  # before, a start that is a pixel off may leave as much as a wrong cell
-            means, _ = samples.cell_residuals(rows, solution, n_cells)
+            means, _, _ = samples.cell_residuals(rows, solution, n_cells)
             right[rows] = _cells_are_right(means, solution.contrasts()[rows])
         solution, plane = hold_common_unknowns(
             solution, start, middle, right, plane, alone=alone, settling=number > 1
@@ -192,10 +207,13 @@ def fit_markers(
             black_ratios=(solution.values[:, BLACK] + MIDDLE_GREY) / solution.contrasts(),
             round_in_image=plane != Plane() or streak_px2 is not None,
         )
+        around = samples.learned(appearances.surroundings, solution, noise)
+        changed = np.abs(appearances.surroundings.textures - around.textures) > noise
+        appearances = replace(appearances, surroundings=around)
         homographies, moved_px = stepped(solution, start)
         homographies = on_plane(homographies, plane, middle)
         bent_px = np.abs(homographies.perspectives - start.perspectives) * sides_px**2 / 2
-        unsettled = (moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > SETTLED_PERSPECTIVE_PX)
+        unsettled = (moved_px > SETTLED_PX * np.cbrt(noise)) | (bent_px > SETTLED_PERSPECTIVE_PX) | changed
         rows = np.flatnonzero(unsettled & (right | (number < max_steps / 2)))
         if not rows.size:
             break
@@ -205,7 +223,7 @@ def fit_markers(
     results = fit_results_of(
         ids, solution, homographies, residuals, moved_px, blurs, variances, correlation=correlation
     )
-    return results, plane
+    return replace(results, surroundings=appearances.surroundings), plane
 
 
 def fit_freely(image, homographies, appearances, max_steps, settled_px):
@@ -225,7 +243,7 @@ def fit_freely(image, homographies, appearances, max_steps, settled_px):
         if shifts.max() < settled_px:
             break
     ratios, boxes = samples.variance_ratios(everyone, solution, homographies)
-    _, peaks = samples.cell_residuals(rows, solution, n_cells)
+    _, peaks, _ = samples.cell_residuals(rows, solution, n_cells)
     return homographies, solution, peaks, ratios, boxes
 
 
@@ -400,7 +418,7 @@ def fit_results_of(
     ids: IntArray,
     solution: LeastSquaresSolution,
     homographies: LocalHomographies,
-    cell_residuals: tuple[Array, Array],
+    cell_residuals: tuple[Array, Array, Array],
     moved_px: Array,
     blurs: Array,
     anisotropy_variances: Array,
@@ -418,7 +436,7 @@ def fit_results_of(
         anisotropy_variances: (N,) variances of each component of the anisotropies that were held.
         correlation: as `PixelSamples.variance_ratios` returns it; not known if left out.
     """
-    cell_means, peaks = cell_residuals
+    cell_means, peaks, besides = cell_residuals
     variance_ratios, boxes = correlation or (np.ones((ids.size, 2)), np.zeros(ids.size))
     log_blurs = solution.values[:, BLUR] / solution.contrasts()
     found = np.clip(log_blurs, -MAX_LOG_BLUR, MAX_LOG_BLUR)
@@ -439,6 +457,8 @@ def fit_results_of(
         variance_ratios=variance_ratios,
         boxes=boxes,
         qualities=np.full(ids.size, Quality.PHOTOMETRIC.value),
+        surroundings=Surroundings.of_cards(ids.size),
+        besides=besides,
         log_odds=np.full(ids.size, np.nan),
     )
 

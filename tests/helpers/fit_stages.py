@@ -32,6 +32,8 @@ MARKER = np.dtype(
         ("half_card", float),
         ("x_stretch", float),
         ("y_stretch", float),
+        ("ground_level", float),
+        ("is_bare", np.int64),
     ]
 )
 """Record of a marker, as `Marker` in `fit.h`; lengths are in marker sides unless a unit is given.
@@ -44,7 +46,8 @@ MARKER = np.dtype(
   homography, wide enough for the perspective; `height_px`, half the height of the strips' common part;
 - `sigma`, the blur's standard deviation, and its standard deviations along x and y over `sigma`;
 - `black_ratio`, black level over contrast;
-- `half_card`, the distance of the card's edge from the centre, infinite where no ground is seen.
+- `half_card`, the distance of the card's edge from the centre, infinite where no ground is seen;
+- `ground_level`, of the ground less white over the contrast, and `is_bare`, whether the marker has no card.
 """
 
 
@@ -251,23 +254,24 @@ class FitStages:
 
     def cell_sums(
         self, blocks: MarkerBlocks, solutions: Floats, n_cells: int
-    ) -> tuple[Array, Array, Array, Array]:
+    ) -> tuple[Array, Array, Array, Array, Array]:
         """Return residuals of the model at `solutions` (N, 15), summed over cells.
 
         Returns:
             The sums (N, n, n) of residuals, grey levels; the numbers of pixels with a weight, and of all
-            pixels (both N, n, n); the largest absolute residuals of a pixel (N,).
+            pixels (both N, n, n); the largest absolute residuals of a pixel (N,); the mean residuals of the
+            pixels beside the markers (N,).
 
         Raises:
             InputError: an array has another type, shape or memory layout, or there are more than 20 cells.
         """
         count = blocks.bounds.size - 1
         sums, used, read = np.zeros((3, count, n_cells, n_cells))
-        peaks = np.zeros(count)
+        peaks, besides = np.zeros((2, count))
         model = address("solutions", solutions, np.float32, (count, UNKNOWNS))
-        results = (array.ctypes.data for array in (sums, used, read, peaks))
+        results = (array.ctypes.data for array in (sums, used, read, peaks, besides))
         check(self.functions.add_over_cells(blocks.structure(), model, n_cells, *results), ERRORS)
-        return sums, used, read, peaks
+        return sums, used, read, peaks, besides
 
     def squared_box_sums(
         self, blocks: MarkerBlocks, solutions: Floats, influences: Floats, picked: IntArray, box_px: int
@@ -378,7 +382,7 @@ def declared_stages(functions: ctypes.CDLL) -> FitStages:
         "fill_elliptic": (integer, scene, blocks, pointer, pointer),
         "gram_matrices": (integer, blocks, pointer),
         "residuals": (integer, blocks, pointer, pointer),
-        "add_over_cells": (integer, blocks, pointer, integer, *(pointer,) * 4),
+        "add_over_cells": (integer, blocks, pointer, integer, *(pointer,) * 5),
         "add_over_boxes": (integer, blocks, pointer, long, *(pointer,) * 2, *(integer,) * 2, *(pointer,) * 3),
         "hold_unknowns": (integer, *(pointer,) * 3, long, integer, integer, pointer, pointer),
         "fit_plane": (integer, *(pointer,) * 4, long, integer, pointer),

@@ -65,14 +65,16 @@ def fit_visible(image, dictionary, fits, sigma_px, plane, noise, *, settled=Fals
         shares = _visible_shares(pixels, n_cells)
         if not with_margins:
             seen = shares
-    means, peaks = pixels.cell_residuals(solution.values, n_cells)
+    means, peaks, besides = pixels.cell_residuals(solution.values, n_cells)
     support = np.minimum(seen, shares * occlusion.MIN_VISIBLE_SHARE / occlusion.MIN_CLEAR_SHARE)
     border, has_bit = border_cells(dictionary), np.zeros((n_cells, n_cells))
     has_bit[border:-border, border:-border] = 1.0
     hidden = has_bit * solution.contrasts()[:, None, None]
     means = np.where(support < occlusion.MIN_VISIBLE_SHARE, hidden, means)
     variances = variances_at(plane, homographies.centers - middle) if plane.shared else np.zeros(rows.size)
-    fitted = fit_results_of(fits.ids, solution, homographies, (means, peaks), moved_px, blurs, variances)
+    fitted = fit_results_of(
+        fits.ids, solution, homographies, (means, peaks, besides), moved_px, blurs, variances
+    )
     return fitted, plane
 
 
@@ -101,7 +103,7 @@ def _used(pixels, values, limits, margins_px):
 def _visible_shares(pixels, n_cells):
     """Return the share (N, n, n) of each cell's pixels that is used; 0 for a cell off the image."""
     nothing = np.zeros((pixels.rows.size, UNKNOWNS), dtype=np.float32)
-    _, used, read, _ = stages().cell_sums(pixels._data, nothing, n_cells)
+    _, used, read, _, _ = stages().cell_sums(pixels._data, nothing, n_cells)
     return used / np.maximum(read, 1)
 
 

@@ -37,6 +37,15 @@ INLINE CellBits bits_of(const float *cells, int32_t n) {
     return bits;
 }
 
+/* Return the ground around a marker without a card as cells: 1 outside of the marker's border, 0 in it. */
+INLINE CellBits ground_bits(int32_t n) {
+    CellBits bits = {{0}};
+    const int32_t all_cells = (1 << (n + 2 * BEYOND)) - 1, inside = ((1 << n) - 1) << BEYOND;
+    for (int32_t r = 0; r < n + 2 * BEYOND; r++)
+        bits.rows[r] = r >= BEYOND && r < n + BEYOND ? all_cells & ~inside : all_cells;
+    return bits;
+}
+
 /* Edges along one axis about the pixels: the first one, and Φ and its derivatives, times powers of σ, at all of them. */
 typedef struct { Ints first; Floats orders[MAX_ORDERS][MAX_EDGES]; } Edges;
 
@@ -94,17 +103,22 @@ INLINE Ints cells_of(const CellBits *bits, const Edges *across, const Edges *dow
 /* Ground beyond the card that pixels hold, as a share, and the weights that it leaves: 1 / sqrt(1 + t² g²). */
 typedef struct { Floats ground, weight; } Ground;
 
+INLINE Ground weighted_ground(Floats share, float texture_square) {
+    return (Ground){share, 1.0f / square_root(1.0f + texture_square * share * share)};
+}
+
 /* Return the ground at pixels; x_rate and y_rate are standard deviations of the blur to a side. */
 INLINE Ground ground_at(Floats x, Floats y, float half_card, Floats x_rate, Floats y_rate, float texture_square) {
     const Floats far_x = (half_card - absolute(x)) * x_rate, far_y = (half_card - absolute(y)) * y_rate;
     const Floats ground = 1.0f - step(far_x, bell(far_x)) * step(far_y, bell(far_y));
     const Ints within = (far_x >= REACH_SIGMAS) & (far_y >= REACH_SIGMAS);
-    const Floats share = choose(within, (Floats){0}, ground);
-    return (Ground){share, 1.0f / square_root(1.0f + texture_square * share * share)};
+    return weighted_ground(choose(within, (Floats){0}, ground), texture_square);
 }
 
-/* What a pixel shows: T, its slopes times the weight, T_log σ, and the ground. */
-typedef struct { Floats white, slope_x, slope_y, log_blur; Ground ground; } Shown;
+/* What a pixel shows: its level, the level's slopes times the weight, its change with log σ, and the ground.
+ *
+ * The level is T, and T + ρ G around a marker without a card, with G the share of the ground and ρ its level. */
+typedef struct { Floats level, slope_x, slope_y, log_blur; Ground ground; } Shown;
 
 /* Part of a block of pixels: places, lines and columns of the image, grey levels, which of them are the marker's own, and
  * where the first column of the model is written. */
@@ -125,14 +139,14 @@ INLINE Part part_at(const Scene *scene, const MarkerBlocks *given, int64_t k, in
 }
 
 /* Write the columns of the model at a part of a block. */
-INLINE void write_columns(const Shown *shown, const Part *part, float ratio, float *written) {
-    const Floats x = part->x, y = part->y;
+INLINE void write_columns(const Shown *shown, const Part *part, const Marker *marker, float *written) {
+    const Floats x = part->x, y = part->y, white = shown->level - (float)marker->ground_level * shown->ground.ground;
     const Floats weight = shown->ground.weight, slope_x = shown->slope_x, slope_y = shown->slope_y;
-    const Floats contrast = shown->white * weight, grow = -(x * slope_x + y * slope_y);
-    const Floats light = ratio * weight + contrast;
+    const Floats level = shown->level * weight, grow = -(x * slope_x + y * slope_y);
+    const Floats light = (float)marker->black_ratio * weight + level;
     Floats columns[COLUMNS];
     columns[BLACK] = weight;
-    columns[CONTRAST] = contrast;
+    columns[CONTRAST] = white * weight;
     columns[RIGHT] = -slope_x;
     columns[DOWN] = -slope_y;
     columns[TURN] = y * slope_x - x * slope_y;
@@ -145,7 +159,7 @@ INLINE void write_columns(const Shown *shown, const Part *part, float ratio, flo
     columns[LIGHT_Y] = y * light;
     columns[KEYSTONE_X] = -grow * x;
     columns[KEYSTONE_Y] = -grow * y;
-    columns[TONE] = contrast * (1.0f - shown->white);
+    columns[TONE] = level * (1.0f - shown->level);
     columns[PIXEL] = (part->grey - (float)MIDDLE_GREY) * weight;
     for (int c = 0; c < COLUMNS; c++)
         store(choose(part->within, columns[c], (Floats){0}), written + part->columns + c * BLOCK_PX);

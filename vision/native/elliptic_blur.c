@@ -87,7 +87,13 @@ INLINE Blurred blurred_at(int count, const CellBits *bits, const Edges *across, 
     };
 }
 
-/* Return T and its derivatives, and write T_xx, T_xy and T_yy times the weights. */
+/* Return the sums of a marker without a card, with those of the ground `beyond` its border, of the given level. */
+INLINE Blurred without_card(const Blurred *sums, const Blurred *beyond, float level) {
+    return (Blurred){sums->g - level * beyond->g,   sums->x - level * beyond->x,   sums->y - level * beyond->y,
+                     sums->xx - level * beyond->xx, sums->xy - level * beyond->xy, sums->yy - level * beyond->yy};
+}
+
+/* Return the level and its derivatives, and write T_xx, T_xy and T_yy times the weights. */
 INLINE Shown shown_of(const Blurred *sums, const CentreBlur *blur, const PixelBlur *own, Floats w_square, Ground ground,
                       Ints within, float *bends) {
     const Floats xx = -sums->xx * own->x_rate * own->x_rate, xy = -sums->xy * own->x_rate * own->y_rate,
@@ -106,7 +112,7 @@ INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerB
                         const CentreBlur *blur, float *bends) {
     const Marker *marker = scene->markers + k;
     const int64_t sides = scene->n + 2;
-    const CellBits bits = bits_of(scene->cells + k * sides * sides, scene->n);
+    const CellBits bits = bits_of(scene->cells + k * sides * sides, scene->n), outside = ground_bits(scene->n);
     const float n = (float)scene->n, half = n / 2, half_card = (float)marker->half_card;
     Edges across, down;
     for (int64_t at = given->bounds[k] * BLOCK_PX; at < given->bounds[k + 1] * BLOCK_PX; at += LANES) {
@@ -115,13 +121,17 @@ INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerB
         const PixelBlur own = blur_at(blur, x, y, w_square);
         compute_edges(count, is_all, MAX_ORDERS, scene->n, x * n + half, own.x_rate / n, &across);
         compute_edges(count, is_all, MAX_ORDERS, scene->n, y * n + half, own.y_rate / n, &down);
-        const Blurred sums = blurred_at(count, &bits, &across, &down, own.correlation);
+        Blurred sums = blurred_at(count, &bits, &across, &down, own.correlation);
         Ground ground = {{0}, all(1.0f)};
-        if (marker->half_card < INFINITY)
+        if (marker->is_bare) {
+            const Blurred beyond = blurred_at(count, &outside, &across, &down, own.correlation);
+            ground = weighted_ground(beyond.g, scene->texture_square);
+            sums = without_card(&sums, &beyond, (float)marker->ground_level);
+        } else if (marker->half_card < INFINITY)
             ground = ground_at(x, y, half_card, own.x_rate, own.y_rate, scene->texture_square);
         float *const own_bends = bends + at / BLOCK_PX * (3 * BLOCK_PX) + at % BLOCK_PX;
         const Shown shown = shown_of(&sums, blur, &own, w_square, ground, part.within, own_bends);
-        write_columns(&shown, &part, (float)marker->black_ratio, given->columns);
+        write_columns(&shown, &part, marker, given->columns);
     }
 }
 

@@ -52,6 +52,8 @@ typedef struct {
     double black_ratio;             /* black level over contrast */
     double half_card;               /* distance of the card's edge from the centre; infinite if no ground is seen */
     double x_stretch, y_stretch;    /* standard deviations of the blur along x and y, over sigma */
+    double ground_level;            /* ground less white, over contrast, for a marker without a card; otherwise 0 */
+    int64_t is_bare;                /* whether the marker has no card, and the ground begins at its border */
 } Marker;
 
 /* Pixels of markers, and the model's columns at them: 0 for pixels that are not used. They are kept in blocks of BLOCK_PX,
@@ -78,12 +80,17 @@ typedef struct {
 /* Image of a marker's plane; vision/photometric/fitting/local_homography.py has the symbols. */
 typedef struct { Complex center, similarity, anisotropy, perspective; } Homography;
 
+/* Ground around a marker without a card (fitting/surroundings.py): its level less white, over contrast, and its texture, grey
+ * levels. The level is NaN for a marker on a card. */
+typedef struct { double level, texture; } Surroundings;
+
 /* Appearance of a marker at its size and blur (fitting/appearance.py). */
 typedef struct {
     double sigma;                   /* standard deviation of the blur */
     double limit;                   /* largest |x| and |y| of its pixels */
     double half_card;               /* distance of the card's edge from the centre; infinite if no ground is seen */
     double black_ratio;             /* black level over contrast */
+    Surroundings around;
 } Appearance;
 
 /* Plane of the markers (fitting/plane.py): α, λ and their covariance; shared is 0 where no plane explains the markers. */
@@ -145,6 +152,8 @@ typedef struct {
     double black, contrast, noise_std, peak;            /* grey levels */
     double log_blur, sigma_px, pixels, moved_px;
     double ratios[2], boxes;        /* fitting/correlated_noise.py */
+    Surroundings around;
+    double beside;                  /* mean residual of the pixels beside the marker, grey levels */
 } Fit;
 
 /* Least-squares solutions of markers (fitting/fit.py). */
@@ -167,7 +176,8 @@ int32_t fill_elliptic(const Scene *scene, const MarkerBlocks *given, const doubl
 int32_t gram_matrices(const MarkerBlocks *given, float *grams);
 int32_t residuals(const MarkerBlocks *given, const float *solutions, float *left);
 int32_t add_over_cells(const MarkerBlocks *given, const float *solutions, int32_t n, double *sums, double *used,
-                       double *read, double *peaks);
+                       double *read, double *peaks, double *besides);
+double ground_texture(const MarkerBlocks *given, const float *solution, double noise);
 int32_t add_over_boxes(const MarkerBlocks *given, const int64_t *picked, int64_t picked_count, const float *solutions,
                        const float *influences, int32_t quantities, int32_t box_px, double *small, double *large,
                        int64_t *boxes);

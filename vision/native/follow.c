@@ -30,11 +30,15 @@ static void release_scratch(Scratch *scratch) {
 }
 
 /* Return how a marker looks under a blur, in sides (fitting/appearance.py). */
-Appearance appearance_of(const FollowConstants *constants, double sigma) {
+Appearance appearance_of(const FollowConstants *constants, double sigma, Surroundings around) {
+    if (!isnan(around.level))
+        return (Appearance){sigma, 0.5 + constants->outside_sigmas * sigma, INFINITY, constants->black_ratio,
+                            around};
     const double quiet = constants->quiet;
     const double beyond = limited(quiet - constants->inside_sigmas * sigma, 0.0, constants->outside_sigmas * sigma);
     const int reaches_ground = quiet - beyond < constants->ground_sigmas * sigma;
-    return (Appearance){sigma, 0.5 + beyond, reaches_ground ? 0.5 + quiet : INFINITY, constants->black_ratio};
+    return (Appearance){sigma, 0.5 + beyond, reaches_ground ? 0.5 + quiet : INFINITY, constants->black_ratio,
+                        around};
 }
 
 static int32_t fit_in_view(const FollowRequest *given, Scratch *scratch, FollowResults *results) {
@@ -42,7 +46,7 @@ static int32_t fit_in_view(const FollowRequest *given, Scratch *scratch, FollowR
     for (int64_t k = 0; k < results->here; k++) {
         const int64_t row = results->rows[k];
         results->blurs[k] = given->tracks[row].sigma_px * blur_per_px(results->starts + k);
-        scratch->appearances[k] = appearance_of(given->constants, results->blurs[k]);
+        scratch->appearances[k] = appearance_of(given->constants, results->blurs[k], given->tracks[row].around);
         memcpy(scratch->cells + (size_t)k * cells, given->cells + (size_t)row * cells, cells * sizeof *scratch->cells);
     }
     const FitRequest request = {

@@ -25,6 +25,7 @@ typedef struct {
     Complex velocity, similarity_log_rate; /* px/s, 1/s */
     int64_t on_arc;
     double sigma_px;
+    Surroundings around;
     int64_t missed;
 } Track;
 
@@ -95,7 +96,7 @@ typedef struct { double value, weight; } Weighted;
 
 double weighted_median(Weighted *values, int64_t count);
 double within_blur_limits(const FollowConstants *constants, const Fit *fit, int32_t n);
-Appearance appearance_of(const FollowConstants *constants, double sigma);
+Appearance appearance_of(const FollowConstants *constants, double sigma, Surroundings around);
 void predict(const Track *track, double time_s, double max_log_growth, Homography *place);
 double shift_sides(const Homography *before, const Homography *after);
 void find_in_view(const FollowRequest *given, FollowResults *results);

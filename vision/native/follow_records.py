@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, Image, IntArray
 from skyherd.native.arguments import address, check_plane
-from skyherd.vision.native.records import FIT, HOMOGRAPHY, PLANE, FitConstants, Floats
+from skyherd.vision.native.records import FIT, HOMOGRAPHY, PLANE, SURROUNDINGS, FitConstants, Floats
 
 TRACK = np.dtype(
     [
@@ -20,6 +20,7 @@ TRACK = np.dtype(
         ("similarity_log_rates", complex),
         ("on_arc", np.int64),
         ("sigmas_px", float),
+        ("surroundings", SURROUNDINGS),
         ("missed", np.int64),
     ]
 )

@@ -31,6 +31,7 @@ static int32_t take_steps(const FitRequest *given, double settled_px, Steps *ste
         if (result) return result;
         moved_px = 0;
         for (int64_t k = 0; k < given->count; k++) {
+            if (is_bare(steps->appearances + k)) learn_surroundings(given, steps, k);
             step_marker(given, steps, k);
             moved_px = fmax(moved_px, corner_shift_px(steps->start + k, steps->here + k));
         }

@@ -6,6 +6,9 @@
 
 enum { POSE = 3 };
 
+/* Largest level of the ground around a marker, its contrasts above or below white. Derived: black is one below. */
+static const double MAX_GROUND_LEVEL = 1.0;
+
 /* Allocate all arrays, and begin where the request does. Returns 0 or an error. */
 int32_t allocate_steps(Steps *steps, const FitRequest *given) {
     const size_t count = (size_t)given->count;
@@ -43,19 +46,22 @@ void to_floats(const double *from, int64_t count, float *to) {
     for (int64_t i = 0; i < count; i++) to[i] = (float)from[i];
 }
 
-/* Compute the mean residual of solution k over each cell (n, n), and return the largest residual of a pixel. */
-static double cell_means_of(const FitRequest *given, const Steps *steps, const Solutions *solutions, int64_t k,
-                            double *means) {
+/* Largest residual of a pixel of a marker, and the mean one of the pixels beside it, grey levels. */
+typedef struct { double peak, beside; } Left;
+
+/* Compute the mean residual of solution k over each cell (n, n), and return the others. */
+static Left cell_means_of(const FitRequest *given, const Steps *steps, const Solutions *solutions, int64_t k, double *means) {
     enum { CELLS = MAX_CELLS * MAX_CELLS };
     const int32_t cells = given->n * given->n;
-    double used[CELLS] = {0}, read[CELLS] = {0}, peak = 0;
+    double used[CELLS] = {0}, read[CELLS] = {0};
+    Left left = {0, 0};
     float values[UNKNOWNS];
     const MarkerBlocks blocks = blocks_of(steps->pixels + k);
     to_floats(solutions->values + k * UNKNOWNS, UNKNOWNS, values);
     for (int32_t i = 0; i < cells; i++) means[i] = 0;
-    add_over_cells(&blocks, values, given->n, means, used, read, &peak);
+    add_over_cells(&blocks, values, given->n, means, used, read, &left.peak, &left.beside);
     for (int32_t i = 0; i < cells; i++) means[i] /= used[i] > 1 ? used[i] : 1;
-    return peak;
+    return left;
 }
 
 /* Find out whether a marker's cells all have the right colour, by its free solution. */
@@ -85,6 +91,21 @@ void put_on_plane(const Plane *plane, Steps *steps, int64_t k) {
     steps->here[k].perspective = perspective_at(plane, minus(steps->here[k].center, steps->middle));
 }
 
+/* Learn the ground around a marker without a card from its held solution. Returns whether its texture is about as assumed:
+ * another texture gives the pixels other weights. */
+int learn_surroundings(const FitRequest *given, Steps *steps, int64_t k) {
+    const double *values = steps->held.values + k * UNKNOWNS;
+    const double level = values[GROUND] / contrast_of(&steps->held, k, given->constants);
+    const MarkerBlocks blocks = blocks_of(steps->pixels + k);
+    float solution[UNKNOWNS];
+    to_floats(values, UNKNOWNS, solution);
+    Surroundings *around = &steps->appearances[k].around;
+    const double before = around->texture;
+    around->level = limited(level, -MAX_GROUND_LEVEL, MAX_GROUND_LEVEL);
+    around->texture = ground_texture(&blocks, solution, given->noise);
+    return fabs(around->texture - before) <= given->noise;
+}
+
 /* Take step `number`; marker sides `sides_px` are those of the start. Returns how many markers are not settled. */
 static int64_t take_step(const FitRequest *given, Steps *steps, const Plane *plane, int32_t number) {
     const double settled_px = given->constants->settled_px * cbrt(given->noise);
@@ -93,10 +114,11 @@ static int64_t take_step(const FitRequest *given, Steps *steps, const Plane *pla
         const Homography *at = steps->start + k;
         const double contrast = contrast_of(&steps->held, k, given->constants), side = side_px(given->start + k);
         steps->appearances[k].black_ratio = (steps->held.values[k * UNKNOWNS + BLACK] + MIDDLE_GREY) / contrast;
+        const int known = !is_bare(steps->appearances + k) || learn_surroundings(given, steps, k);
         step_marker(given, steps, k);
         if (plane->shared) put_on_plane(plane, steps, k);
         const double bent_px = magnitude(minus(steps->here[k].perspective, at->perspective)) * side * side / 2;
-        const int unsettled = steps->moved_px[k] > settled_px || bent_px > given->constants->settled_perspective_px;
+        const int unsettled = steps->moved_px[k] > settled_px || bent_px > given->constants->settled_perspective_px || !known;
         steps->is_active[k] = unsettled && (steps->right[k] || 2 * number < given->max_steps);
         active += steps->is_active[k];
     }
@@ -191,8 +213,11 @@ static int32_t write_fit(const FitRequest *given, const Steps *steps, const Plan
         .pixels = steps->held.pixels[k],
         .moved_px = steps->moved_px[k],
         .ratios = {1, 1},
+        .around = steps->appearances[k].around,
     };
-    fit->peak = cell_means_of(given, steps, &steps->held, k, cell_means);
+    const Left left = cell_means_of(given, steps, &steps->held, k, cell_means);
+    fit->peak = left.peak;
+    fit->beside = left.beside;
     pose_influences(given, steps, k, maps, influences);
     for (int a = 0; a < POSE; a++)
         for (int b = 0; b < POSE; b++) {

@@ -23,6 +23,8 @@ static Marker marker_of(const Homography *at, const Appearance *look, int round_
         .half_card = look->half_card,
         .x_stretch = magnitude(minus(one, relative)) / spread,
         .y_stretch = magnitude(plus(one, relative)) / spread,
+        .ground_level = is_bare(look) ? look->around.level : 0,
+        .is_bare = is_bare(look),
     };
     if (round_in_image) {
         marker.keystone = times(at->perspective, conjugate(m));
@@ -102,7 +104,7 @@ int32_t draw_marker(const FitRequest *given, const Homography *at, const Appeara
     if (result) return result;
     list_pixels(&marker, 1, given->height, given->width, own->bounds, &own->count, own->places, own->pixels, own->room);
     prefetch(given->image, given->width, own);
-    const float texture = (float)given->texture;
+    const float texture = (float)(is_bare(look) ? look->around.texture / given->noise : given->texture);
     const Scene scene = {given->image, &marker, given->cells + k * sides * sides, given->height, given->width, given->n,
                          texture * texture};
     const MarkerBlocks blocks = blocks_of(own);

@@ -15,6 +15,9 @@ static inline double limited(double value, double low, double high) {
     return value < low ? low : value > high ? high : value;
 }
 
+/* Return whether a marker has no card. */
+static inline int is_bare(const Appearance *look) { return !isnan(look->around.level); }
+
 int32_t draw_marker(const FitRequest *given, const Homography *at, const Appearance *look, int round_in_image, Pixels *own,
                     int64_t k);
 void solve_marker(const FitRequest *given, const Pixels *own, int64_t used, Solutions *solutions, int64_t k);

@@ -79,8 +79,18 @@ HOMOGRAPHY = np.dtype(
 )
 """Record of a marker's homography, as `Homography` in `fit.h`; the names are those of `LocalHomographies`."""
 
+SURROUNDINGS = np.dtype([("levels", float), ("textures", float)])
+"""Record of the ground around a marker, as `Surroundings` in `fit.h`; the names are those of
+`fitting.surroundings`."""
+
 APPEARANCE = np.dtype(
-    [("sigma", float), ("limit", float), ("half_card", float), ("black_ratio", float)],
+    [
+        ("sigma", float),
+        ("limit", float),
+        ("half_card", float),
+        ("black_ratio", float),
+        ("surroundings", SURROUNDINGS),
+    ],
 )
 """Record of a marker's appearance, as `Appearance` in `fit.h`; lengths are in marker sides."""
 
@@ -103,6 +113,8 @@ FIT = np.dtype(
         ("moved_px", float),
         ("variance_ratios", float, (2,)),
         ("boxes", float),
+        ("surroundings", SURROUNDINGS),
+        ("besides", float),
     ]
 )
 """Record of a fit, as `Fit` in `fit.h`; the names are those of `fitting.fit_result.FitResults`."""

@@ -7,7 +7,7 @@
 
 /* Numbers of a marker in single precision. */
 typedef struct {
-    float cells, half, per_side, per_cell, x_rate, y_rate, half_card, ratio, texture_square;
+    float cells, half, per_side, per_cell, x_rate, y_rate, half_card, ground_level, texture_square;
     float keystone_x, keystone_y, anisotropy_x, anisotropy_y;
     int has_ground;
 } Look;
@@ -21,7 +21,7 @@ static Look look_of(const Marker *marker, int32_t n, float texture_square) {
         .x_rate = (float)(1 / (marker->sigma * marker->x_stretch)),
         .y_rate = (float)(1 / (marker->sigma * marker->y_stretch)),
         .half_card = (float)marker->half_card,
-        .ratio = (float)marker->black_ratio,
+        .ground_level = (float)marker->ground_level,
         .texture_square = texture_square,
         .keystone_x = (float)marker->keystone.re,
         .keystone_y = (float)marker->keystone.im,
@@ -63,11 +63,23 @@ INLINE Shown shown_of(const Blurred *sums, const Look *look, Floats x, Floats y)
     return (Shown){white, -sums->x * look->per_side, -sums->y * look->per_side, log_blur, {{0}, all(1.0f)}};
 }
 
+/* Return the same for a marker without a card; `beyond` are the sums of the ground around it, without the weight. */
+INLINE Shown shown_without_card(const Blurred *sums, const Blurred *beyond, const Look *look, Floats x, Floats y) {
+    const float level = look->ground_level;
+    const Floats share = 1.0f - shown_of(beyond, look, x, y).level;
+    const Blurred both = {sums->f - level * beyond->f,   sums->x - level * beyond->x,   sums->y - level * beyond->y,
+                          sums->xx - level * beyond->xx, sums->xy - level * beyond->xy, sums->yy - level * beyond->yy};
+    Shown shown = shown_of(&both, look, x, y);
+    shown.ground = weighted_ground(share, look->texture_square);
+    return shown;
+}
+
 /* Fill in the blocks of one marker. `count` edges are in reach along each axis. */
 INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerBlocks *given, int64_t k) {
-    const Look look = look_of(scene->markers + k, scene->n, scene->texture_square);
+    const Marker *marker = scene->markers + k;
+    const Look look = look_of(marker, scene->n, scene->texture_square);
     const int64_t sides = scene->n + 2;
-    const CellBits bits = bits_of(scene->cells + k * sides * sides, scene->n);
+    const CellBits bits = bits_of(scene->cells + k * sides * sides, scene->n), ground = ground_bits(scene->n);
     Edges across, down;
     for (int64_t at = given->bounds[k] * BLOCK_PX; at < given->bounds[k + 1] * BLOCK_PX; at += LANES) {
         const Part part = part_at(scene, given, k, at / BLOCK_PX, at % BLOCK_PX);
@@ -76,13 +88,16 @@ INLINE void fill_marker(int count, int is_all, const Scene *scene, const MarkerB
         compute_edges(count, is_all, 3, scene->n, y * look.cells + look.half, per_cell, &down);
         const Blurred sums = blurred_at(count, &bits, &across, &down);
         Shown shown = shown_of(&sums, &look, x, y);
-        if (look.has_ground) {
+        if (marker->is_bare) {
+            const Blurred beyond = blurred_at(count, &ground, &across, &down);
+            shown = shown_without_card(&sums, &beyond, &look, x, y);
+        } else if (look.has_ground) {
             const Floats x_rate = all(look.x_rate), y_rate = all(look.y_rate);
             shown.ground = ground_at(x, y, look.half_card, x_rate, y_rate, look.texture_square);
         }
         shown.slope_x *= shown.ground.weight;
         shown.slope_y *= shown.ground.weight;
-        write_columns(&shown, &part, look.ratio, given->columns);
+        write_columns(&shown, &part, marker, given->columns);
     }
 }
 

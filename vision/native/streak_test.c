@@ -14,7 +14,7 @@ typedef struct {
 static void add_marker(const FollowRequest *given, const Fit *fit, const float *cells, Few *few) {
     const size_t sides = (size_t)given->n + 2, size = sides * sides;
     Appearance *look = few->appearances + few->count;
-    *look = appearance_of(given->constants, fit->sigma_px * blur_per_px(&fit->homography));
+    *look = appearance_of(given->constants, fit->sigma_px * blur_per_px(&fit->homography), fit->around);
     look->black_ratio = fit->black / fmax(fit->contrast, 1.0);
     few->places[few->count] = fit->homography;
     memcpy(few->cells + (size_t)few->count * size, cells, size * sizeof *cells);

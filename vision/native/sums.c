@@ -92,12 +92,18 @@ INLINE void add_to_cells(const float *places, const float *weights, Floats left,
     }
 }
 
+static CellSum sum_of_turns(const CellSum *of) {
+    return (CellSum){(of[0].left + of[1].left) + (of[2].left + of[3].left), of[0].used + of[1].used + of[2].used + of[3].used,
+                     of[0].read + of[1].read + of[2].read + of[3].read};
+}
+
 /* Add up residuals over the cells of each marker.
  *
  * sums, used and read (count, n, n) are the residuals over each cell, the number of its pixels that have a weight, and that
- * of all its pixels. peaks (count,) are the largest absolute residuals of a pixel. Returns 0 or an error. */
+ * of all its pixels. peaks (count,) are the largest absolute residuals of a pixel, besides (count,) the mean residuals of the
+ * pixels beside the markers. Returns 0 or an error. */
 int32_t add_over_cells(const MarkerBlocks *given, const float *solutions, int32_t n, double *sums, double *used,
-                       double *read, double *peaks) {
+                       double *read, double *peaks, double *besides) {
     if (n <= 0 || n > MAX_CELLS || !are_bounds_valid(given)) return FIT_INVALID_SIZE;
     CellSums own;
     own.n = n;
@@ -113,16 +119,34 @@ int32_t add_over_cells(const MarkerBlocks *given, const float *solutions, int32_
                          &own);
         }
         for (int32_t cell = 0; cell < n * n; cell++, sums++, used++, read++) {
-            const CellSum *of = own.of[cell];
-            *sums = (of[0].left + of[1].left) + (of[2].left + of[3].left);
-            *used = of[0].used + of[1].used + of[2].used + of[3].used;
-            *read = of[0].read + of[1].read + of[2].read + of[3].read;
+            const CellSum sum = sum_of_turns(own.of[cell]);
+            *sums = sum.left, *used = sum.used, *read = sum.read;
         }
+        const CellSum beside = sum_of_turns(own.of[n * n]);
+        besides[k] = beside.left / (beside.used > 1 ? beside.used : 1);
         float peak = 0;
         for (int i = 0; i < LANES; i++) peak = largest[i] > peak ? largest[i] : peak;
         peaks[k] = (double)peak;
     }
     return 0;
+}
+
+/* Return the texture of the ground around a marker without a card, grey levels, by the residuals of a solution (15,).
+ *
+ * A pixel of which the ground has the share G varies by noise² + (texture G)². Pixels count of which it has most. */
+double ground_texture(const MarkerBlocks *given, const float *solution, double noise) {
+    double excess = 0, shares = 0;
+    for (int64_t at = 0; at < given->counts[0]; at += LANES) {
+        const float *columns = columns_at(given, at), *weights = columns + BLACK * BLOCK_PX;
+        const Floats left = residuals_of(columns, solution), ground = load(columns + GROUND * BLOCK_PX);
+        for (int i = 0; i < LANES; i++) {
+            if (!(weights[i] > 0) || !(ground[i] > 0.5f * weights[i])) continue;
+            const double share = (double)ground[i] / (double)weights[i], own = (double)left[i] / (double)weights[i];
+            excess += own * own - noise * noise;
+            shares += share * share;
+        }
+    }
+    return shares > 0 && excess > 0 ? sqrt(excess / shares) : 0.0;
 }
 
 /* Lines and columns of boxes that a marker's pixels lie in. */

@@ -61,9 +61,11 @@ void find_in_view(const FollowRequest *given, FollowResults *results) {
 }
 
 /* Return a track after an image that shows its marker. One far from its prediction is another place, and stands still. */
-static Track seen_track(const Track *last, double time_s, const FollowConstants *constants, const Homography *at,
+static Track seen_track(const Track *last, double time_s, const FollowConstants *constants, const Fit *fit,
                         double sigma_px) {
-    Track track = {.id = last->id, .time_s = time_s, .homography = *at, .on_arc = 1, .sigma_px = sigma_px};
+    const Homography *at = &fit->homography;
+    Track track = {.id = last->id, .time_s = time_s, .homography = *at, .on_arc = 1, .sigma_px = sigma_px,
+                   .around = fit->around};
     Homography place;
     predict(last, time_s, constants->max_log_growth, &place);
     if (!(shift_sides(&place, at) <= constants->reach_sides)) return track;
@@ -83,7 +85,7 @@ void update_tracks(const FollowRequest *given, const double *sigmas_px, FollowRe
         const Track *last = given->tracks + k;
         if (next < results->here && results->rows[next] == k) {
             results->tracks[results->track_count++] = seen_track(
-                last, given->time_s, given->constants, &results->fits[next].homography, sigmas_px[next]);
+                last, given->time_s, given->constants, results->fits + next, sigmas_px[next]);
             next++;
         } else if (last->missed < given->constants->max_missed) {
             Track *kept = results->tracks + results->track_count++;

@@ -160,8 +160,8 @@ static int64_t restrict_to_used(const MarkerBlocks *blocks, const uint8_t *used)
 /* Compute the share of the pixels of each cell (n, n) that is used; 0 for a cell off the image. */
 static void visible_shares(const MarkerBlocks *blocks, int32_t n, double *shares) {
     const float none[UNKNOWNS] = {0};
-    double sums[CELLS] = {0}, used[CELLS] = {0}, read[CELLS] = {0}, peak = 0;
-    add_over_cells(blocks, none, n, sums, used, read, &peak);
+    double sums[CELLS] = {0}, used[CELLS] = {0}, read[CELLS] = {0}, peak = 0, beside = 0;
+    add_over_cells(blocks, none, n, sums, used, read, &peak, &beside);
     for (int32_t i = 0; i < n * n; i++) shares[i] = used[i] / (read[i] > 1 ? read[i] : 1);
 }
 
@@ -240,6 +240,8 @@ int32_t fit_visible(const VisibleRequest *given, Plane *plane, Fit *fits, double
         memset(values, 0, UNKNOWNS * sizeof *values);
         values[BLACK] = given->blacks[k] - MIDDLE_GREY;
         values[CONTRAST] = given->contrasts[k];
+        const Appearance *look = markers->appearances + k;
+        if (is_bare(look)) values[GROUND] = look->around.level * given->contrasts[k];
         visible.limits[k] = given->settled ? last_limit(given, k, markers->noise) : given->contrasts[k] / 2;
         steps->right[k] = 0;
         if (plane->shared) put_on_plane(plane, steps, k);

@@ -49,6 +49,10 @@ SEARCH_INTERVAL = 5
 this long at most. Measured on `star`: a search takes 4 ms and following 4.4, so that searches add a fifth;
 in every image they would double the time."""
 
+GROUND_INTERVAL = 5
+"""While all markers are followed, every image of this number is tested for ground around a marker that is no
+longer white (`cards`). Chosen: `SEARCH_INTERVAL`, so that a search and this fall on one image."""
+
 FALLBACK_INTERVAL, FALLBACK_AFTER_SUCCESS = 10, 2
 """While all markers are followed, every search of the first number has a fallback if the last fallback found
 nothing, and of the second number if it did. Chosen: it takes 45 ms of a core where the search takes 4, and
@@ -112,14 +116,15 @@ class PhotometricDetector:
         image = check_grey(image)
         state = self.states.get(unit_id, CameraState()) if self.following else CameraState()
         first = fit_predicted(image, self.dictionary, state, time_s)
-        if first.is_usual and not self._is_due(state.unsearched + 1):
+        unsearched = state.unsearched + 1
+        if first.is_usual and not self._is_due(unsearched) and unsearched % GROUND_INTERVAL:
             self.states[unit_id] = first.learned(state)
             return first.detections(image, state, time_s, unit_id)
         followed = follow(image, self.dictionary, state, first)
         found = followed.found
         if followed.is_missing and len(found.ids) < MIN_FOLLOWED_SHARE * len(state.tracks.seen.ids):
             followed, found = replace(followed, plane=Plane()), self._none
-        state = replace(state, plane=followed.plane, unsearched=state.unsearched + 1)
+        state = replace(state, plane=followed.plane, unsearched=unsearched)
         is_amiss = followed.is_missing or not len(found.ids)
         if is_amiss or self._is_due(state.unsearched):
             state, searched = self._search(image, state, found.homographies, thoroughly=is_amiss)
@@ -285,7 +290,8 @@ class DeferringDetector(PhotometricDetector):
         found, state = searched.found, replace(state, plane=searched.plane)
         if found.ids.size:
             last_s = state.tracks.times_s.max(initial=0.0)
-            tracks = state.tracks.with_others(last_s, found.ids, found.homographies, with_usual_blur(found))
+            seen = found.ids, found.homographies, with_usual_blur(found), found.surroundings
+            tracks = state.tracks.with_others(last_s, *seen)
             state = replace(state, tracks=tracks)
         is_last = part == PARTS - 1
         self.states[unit_id] = replace(

@@ -9,7 +9,7 @@ last by a search near these places (`skyherd.vision.photometric.tracks`).
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from math import nan
 
 import numpy as np
@@ -22,12 +22,14 @@ from skyherd.vision.native.follow_records import Estimates, FollowConstants, Fol
 from skyherd.vision.native.library import library
 from skyherd.vision.photometric import refine, tracks, verify
 from skyherd.vision.photometric.candidates import find_candidates, outside_markers, unambiguous
+from skyherd.vision.photometric.cards import refit_without_cards
 from skyherd.vision.photometric.fitting import appearance, correlated_noise, fit, streak_evidence
 from skyherd.vision.photometric.fitting.correlated_noise import PooledRatios
 from skyherd.vision.photometric.fitting.fit import MAX_STEPS_FROM_PREDICTION, USUAL_NOISE
 from skyherd.vision.photometric.fitting.fit_result import FitResults, no_fit_results
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
+from skyherd.vision.photometric.fitting.surroundings import Surroundings
 from skyherd.vision.photometric.image_noise import (
     MIN_UNSATURATED_PIXELS,
     ROUNDING_NOISE,
@@ -204,14 +206,14 @@ class Followed:
 
     Attributes:
         found: the markers, in ascending order of id.
+        plane: common plane of the markers.
         is_missing: whether a marker that the last image showed is missing. Markers that were about to leave
             the view are not missing, unless the prediction lies so far away that it may be wrong.
-        plane: common plane of the markers.
     """
 
     found: FitResults
-    is_missing: bool
     plane: Plane
+    is_missing: bool
 
 
 def follow(image: Image, dictionary: str, state: CameraState, first: FirstFit) -> Followed:
@@ -225,11 +227,18 @@ def follow(image: Image, dictionary: str, state: CameraState, first: FirstFit) -
     """
     tracks, here, plane = state.tracks, first.rows, state.plane
     if not here.size:
-        return Followed(no_fit_results(dictionary), bool(first.should_be_seen.any()), plane)
+        return Followed(no_fit_results(dictionary), plane, bool(first.should_be_seen.any()))
     ids, start, missed = tracks.ids[here], first.start, tracks.missed[here]
     if first.is_usual:
-        return Followed(first.fits(ids), False, first.plane)
-    fits, start, plane = _fit_tracks(image, dictionary, state, ids, first, tracks.sigmas_px[here])
+        fits = first.fits(ids)
+        all_good = np.ones(fits.ids.size, dtype=bool)
+        return Followed(
+            *refit_without_cards(image, dictionary, fits, all_good, first.plane), is_missing=False
+        )
+    known = tracks.take(here)
+    fits, start, plane = _fit_tracks(
+        image, dictionary, state, ids, first, known.sigmas_px, known.surroundings
+    )
     lost = ~is_promising(fits)
     near = _find_near(image, dictionary, state, start.take(lost), fits.homographies.take(~lost), missed[lost])
     near = near.take(np.isin(near.ids, ids))  # others are for the search, which compares their prints
@@ -241,7 +250,7 @@ def follow(image: Image, dictionary: str, state: CameraState, first: FirstFit) -
         )
         fits = fits.take(good & np.isin(fits.ids, ids))
     found = unambiguous(fits.joined(near))
-    return Followed(found, bool((first.should_be_seen & ~np.isin(tracks.ids, found.ids)).any()), plane)
+    return Followed(found, plane, bool((first.should_be_seen & ~np.isin(tracks.ids, found.ids)).any()))
 
 
 def _start_corners(fits: FitResults, start: LocalHomographies) -> Array:
@@ -259,11 +268,13 @@ def _fit_tracks(
     ids: IntArray,
     first: FirstFit,
     sigmas_px: Array,
+    surroundings: Surroundings,
 ) -> tuple[FitResults, LocalHomographies, Plane]:
     """Return fits of followed markers, their places as predicted or by the common motion, and the plane."""
     about, start = (state.plane, state.noise or USUAL_NOISE, MAX_STEPS_FROM_PREDICTION), first.start
     fitted = (first.fits(ids), first.plane) if first.is_fitted else None
-    fits, plane = fit_any_blur(image, dictionary, ids, start, sigmas_px, *about, fitted=fitted)
+    fit = partial(fit_any_blur, image, dictionary, ids, surroundings=surroundings)
+    fits, plane = fit(start, sigmas_px, *about, fitted=fitted)
     lost = np.flatnonzero(~is_promising(fits))
     if not lost.size:
         return fits, start, plane
@@ -273,7 +284,7 @@ def _fit_tracks(
         return fits, start, plane
     # All are fitted again, since few may have determined the plane.
     there = fits.homographies.put(lost, moved.take(lost))
-    fits, plane = fit_any_blur(image, dictionary, ids, there, sigmas_px, *about)
+    fits, plane = fit(there, sigmas_px, *about)
     right = np.flatnonzero(is_promising(fits))
     return fits, start.put(right, there.take(right)), plane
 

@@ -10,6 +10,8 @@
    evidence too, and with one lower log odds suffice. `FitResults.qualities` says which. This step also
    accepts markers whose fit was refused for its blur.
 
+Markers without a white card are fitted to the ground around them, in step 2 and in step 5 (`cards`).
+
 A verified fit is not asked for its likelihood, which would change little. Measured: of 1978 verified markers
 on photographs one has hopeless log odds. Of 30,000 shapes that are no markers two are accepted
 (`benchmarks/clutter.py`).
@@ -33,6 +35,12 @@ from skyherd.vision.photometric.candidates import (
     nothing_weighed,
     on_plane,
     within_better,
+)
+from skyherd.vision.photometric.cards import (
+    MAX_OUTLINE_RATIO,
+    are_on_ground,
+    fit_to_ground,
+    refit_without_cards,
 )
 from skyherd.vision.photometric.evidence.likelihood import (
     MarkerOdds,
@@ -202,6 +210,7 @@ def verify_and_refit(
     """
     noise = image_noise(image)
     good = verified(fits, noise, code_distance(dictionary))
+    fits, plane = refit_without_cards(image, dictionary, fits, good, plane)
     floor = _usual_noise(fits, good, noise)
     is_covered = may_be_occluded(fits, floor)
     clear = good & ~is_covered
@@ -226,14 +235,42 @@ def verify_and_refit(
     fits, good, plane = with_streak(image, dictionary, fits, good, plane, worth)
     likely = np.flatnonzero(~good[rest] & (odds.log_odds >= min_robust_log_odds(dictionary)))
     if likely.size:
-        rows, odds, edges = rest[likely], odds.take(likely), edges.take(likely)
-        read = replace(fits.take(rows), ids=odds.ids, blacks=odds.blacks, contrasts=odds.contrasts)
-        measured = _measured(image, dictionary, read, known_plane, floor, edges.turned(odds.turns))
-        accepted = (odds.log_odds >= min_log_odds(dictionary)) | (measured.qualities == Quality.ROBUST)
-        if code_distance(dictionary) < STRONG_DISTANCE:
-            accepted &= np.abs(measured.homographies.keystones()) <= MAX_KEYSTONE
-        fits, good = _replaced(fits, good, rows[accepted], measured.take(accepted))
+        given = rest[likely], odds.take(likely), edges.take(likely).turned(odds.turns[likely])
+        fits, good, plane = _decide(image, dictionary, fits, good, *given, plane, known_plane, noises)
     return fits, good, plane, weighed
+
+
+def _decide(
+    image: Image,
+    dictionary: str,
+    fits: FitResults,
+    good: BoolArray,
+    rows: IntArray,
+    odds: MarkerOdds,
+    edges: EdgeFits,
+    plane: Plane,
+    known_plane: Plane,
+    noises: "_Noises",
+) -> tuple[FitResults, BoolArray, Plane]:
+    """Accept likely markers, those at indices `rows` (K,), by a fit to ground, a robust fit or their edges.
+
+    Returned are the fits, which (N,) are accepted, and the plane.
+    """
+    read = replace(fits.take(rows), ids=odds.ids, blacks=odds.blacks, contrasts=odds.contrasts)
+    ground, on_ground, plane = _on_ground(
+        image, dictionary, read, edges, fits.take(good), plane, noises.image
+    )
+    fits, good = _replaced(fits, good, rows[on_ground], ground)
+    others = np.flatnonzero(~on_ground)
+    if not others.size:
+        return fits, good, plane
+    read, edges = read.take(others), edges.take(others)
+    measured = _measured(image, dictionary, read, known_plane, noises.verified, edges)
+    is_beyond_doubt = odds.log_odds[others] >= min_log_odds(dictionary)
+    accepted = is_beyond_doubt | (measured.qualities == Quality.ROBUST)
+    if code_distance(dictionary) < STRONG_DISTANCE:
+        accepted &= np.abs(measured.homographies.keystones()) <= MAX_KEYSTONE
+    return *_replaced(fits, good, rows[others[accepted]], measured.take(accepted)), plane
 
 
 @dataclass(frozen=True)
@@ -317,7 +354,7 @@ def fit_alone(
 def _plane_of(image: Image, dictionary: str, fits: FitResults, plane: Plane, noise: float) -> Plane:
     """Return the plane of these fits alone; `plane` is that of them and others."""
     given = fits.ids, fits.homographies, with_usual_blur(fits), plane, noise, STEPS_PER_ROUND
-    return fit_all_sizes(image, dictionary, *given)[1]
+    return fit_all_sizes(image, dictionary, *given, surroundings=fits.surroundings)[1]
 
 
 def _fit_visible(
@@ -385,6 +422,32 @@ def _pose_costs(fitted_px: Array, edges_px: Array) -> Array:
     """Return log odds (N,) that the distance of fitted corners from those by the edges costs."""
     square = (np.nan_to_num(fitted_px - edges_px, nan=np.inf) ** 2).sum(axis=(1, 2))
     return np.asarray(square / (2 * CORNER_STD_PX**2))
+
+
+def _on_ground(
+    image: Image,
+    dictionary: str,
+    fits: FitResults,
+    edges: EdgeFits,
+    others: FitResults,
+    plane: Plane,
+    noise: float,
+) -> tuple[FitResults, BoolArray, Plane]:
+    """Return verified fits to ground of those of likely markers (N,) that have no card.
+
+    Also returned are the mask (N,) of these, and the plane.
+    """
+    shares = edges.rises / np.maximum(fits.contrasts, MIN_MARKER_CONTRAST)
+    mask = shares < 1
+    if not mask.any():
+        return fits.take(mask), mask, plane
+    start = _by_edges(fits, edges).take(mask)
+    new, new_plane = fit_to_ground(image, dictionary, start, shares[mask] - 1, others, plane, noise)
+    new = replace(new, log_odds=start.log_odds)
+    is_good = new.surroundings.levels > MAX_OUTLINE_RATIO * (shares[mask] - 1)
+    is_good &= are_on_ground(new, noise) & verified(new, noise, code_distance(dictionary))
+    mask[mask] = is_good
+    return new.take(is_good), mask, new_plane if is_good.any() else plane
 
 
 def _measured(

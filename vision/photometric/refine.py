@@ -30,6 +30,7 @@ from skyherd.vision.photometric.fitting.local_homography import LocalHomographie
 from skyherd.vision.photometric.fitting.occlusion import fit_visible
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.fitting.streak_evidence import streak_evidence
+from skyherd.vision.photometric.fitting.surroundings import Surroundings
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.photometric.verify import MIN_MARKER_CONTRAST, verified
 
@@ -52,6 +53,7 @@ def fit_all_sizes(
     alone: bool = False,
     max_side_px: float = MAX_SIDE_PX,
     streak_px2: complex | None = None,
+    surroundings: Surroundings | None = None,
 ) -> tuple[FitResults, Plane]:
     """Do as `fit_markers`, with each marker at a resolution that suits it.
 
@@ -62,7 +64,7 @@ def fit_all_sizes(
     octaves = size_octaves(homographies, max_side_px)
     if not octaves.any():
         given = image, dictionary, ids, homographies, sigma_px, plane, noise, max_steps
-        return fit_markers(*given, alone=alone, streak_px2=streak_px2)
+        return fit_markers(*given, alone=alone, streak_px2=streak_px2, surroundings=surroundings)
     parts: list[FitResults] = []
     order: list[IntArray] = []
     fitted_plane = plane
@@ -80,6 +82,7 @@ def fit_all_sizes(
             max_steps,
             alone=alone,
             streak_px2=None if streak_px2 is None else streak_px2 / scaled.shrink**2,
+            surroundings=None if surroundings is None else surroundings.take(rows),
         )
         parts.append(scaled.full_size(fits))
         if len(parts) == 1:
@@ -214,6 +217,7 @@ def fit_any_blur(
     alone: bool = False,
     max_side_px: float = MAX_SIDE_PX,
     streak_px2: complex | None = None,
+    surroundings: Surroundings | None = None,
     fitted: tuple[FitResults, Plane] | None = None,
 ) -> tuple[FitResults, Plane]:
     """Fit markers as `fit_all_sizes` does, of which `sigmas_px` is only where the blur begins.
@@ -230,6 +234,7 @@ def fit_any_blur(
         alone: whether each marker has a plane of its own, also if one would explain them all.
         max_side_px: side from which on markers are fitted in a shrunk image.
         streak_px2: as of `fit_markers`.
+        surroundings: of the markers; white cards if left out.
         fitted: result of the first fit, if it is known already.
 
     Returns:
@@ -245,14 +250,19 @@ def fit_any_blur(
         max_side_px=max_side_px,
         streak_px2=streak_px2,
     )
-    fits, plane = fitted or fit(ids, homographies, sigmas_px, plane, max_steps=max_steps)
+    fits, plane = fitted or fit(
+        ids, homographies, sigmas_px, plane, max_steps=max_steps, surroundings=surroundings
+    )
     for _ in range(BLUR_ROUNDS):
         found_px = _within_limits(fits)
         rows = np.flatnonzero(is_promising(fits) & (np.abs(np.log(found_px / sigmas_px)) > BLUR_SETTLED))
         if not rows.size:
             break
         sigmas_px[rows], near = found_px[rows], fits.homographies.take(rows)
-        again, _ = fit(ids[rows], near, sigmas_px[rows], plane, max_steps=STEPS_PER_ROUND)
+        around = fits.surroundings.take(rows)
+        again, _ = fit(
+            ids[rows], near, sigmas_px[rows], plane, max_steps=STEPS_PER_ROUND, surroundings=around
+        )
         fits = fits.put(rows, again)
     return fits, plane
 
@@ -353,6 +363,7 @@ def with_streak(
             new_plane,
             noise,
             streak_px2=streak_px2,
+            surroundings=new.surroundings,
         )
         rise = float(np.median(new.noise_stds[telling] / old.noise_stds[telling]))
         if rise > HOPELESS_RISE:

@@ -17,6 +17,7 @@ from skyherd.markers.dictionary import cells_per_side, with_border
 from skyherd.messages import Detections, Quality
 from skyherd.vision.grey import Image, check_grey
 from skyherd.vision.native.library import library
+from skyherd.vision.photometric.cards import refit_each_without_card
 from skyherd.vision.photometric.fitting.appearance import appearances_of
 from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
 from skyherd.vision.photometric.fitting.correlated_noise import PooledRatios
@@ -86,6 +87,7 @@ def measure_outlines(
     name, noise = with_border(dictionary, border_bits), image_noise(image)
     start = LocalHomographies.of_quads(found.corners_px[rows])
     fits, _ = fit_any_blur(image, name, found.ids[rows], start, START_SIGMA_PX, OWN_PLANES, noise, alone=True)
+    fits = refit_each_without_card(image, name, fits, start, noise)
     sigmas_px, octaves = with_usual_blur(fits), size_octaves(fits.homographies, MAX_SIDE_PX)
     for octave in np.unique(octaves):
         here, scaled = np.flatnonzero(octaves == octave), ScaledImage(image, 2 ** int(octave))
@@ -120,7 +122,8 @@ def _fit_freely(
         noise: standard deviation of a pixel, grey levels.
     """
     blurs = fits.homographies.blurs(sigmas_px)
-    appearances = appearances_of(dictionary, fits.ids, blurs, OWN_PLANES, noise)
+    around = fits.surroundings
+    appearances = appearances_of(dictionary, fits.ids, blurs, OWN_PLANES, noise, surroundings=around)
     appearances = replace(appearances, black_ratios=fits.blacks / np.maximum(fits.contrasts, MIN_CONTRAST))
     request = fit_request(image, fits.homographies, appearances, noise, MAX_STEPS)
     records, by_pose = library().fit_freely(request, SETTLED_PX)

@@ -71,7 +71,8 @@ class CameraState:
             )
             sigmas_px = with_usual_blur(found, usual_px)
             sigmas_px = np.where(sigmas_px == usual_px, sigma_px, sigmas_px)
-        return replace(state, tracks=self.tracks.updated(time_s, found.ids, found.homographies, sigmas_px))
+        seen = found.ids, found.homographies, sigmas_px, found.surroundings
+        return replace(state, tracks=self.tracks.updated(time_s, *seen))
 
 
 def _moved_towards(value: float, before: float | None) -> float:

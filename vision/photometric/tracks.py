@@ -20,6 +20,7 @@ from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, ComplexArray, Int
 from skyherd.vision.grey import Image
 from skyherd.vision.native.follow_records import TRACK
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.surroundings import Surroundings
 from skyherd.vision.row_record import RowRecord
 from skyherd.vision.search.quads import find_quads
 
@@ -65,6 +66,7 @@ class Tracks(RowRecord):
             part rotation.
         on_arc: (N,) whether the centres' steps turn and grow with the similarities.
         sigmas_px: (N,) standard deviations of the blur, lens and pixel together, px.
+        surroundings: of the markers.
         missed: (N,) images since then in which the marker was not found.
     """
 
@@ -75,14 +77,19 @@ class Tracks(RowRecord):
     similarity_log_rates: ComplexArray
     on_arc: BoolArray
     sigmas_px: Array
+    surroundings: Surroundings
     missed: IntArray
 
     @classmethod
     def of_records(cls, records: npt.NDArray[np.void]) -> "Tracks":
         """Return the tracks of records (N,) of `TRACK`, which are not copied."""
         fields = {name: records[name] for name in TRACK.names or ()}
-        places = LocalHomographies.of_records(fields.pop("homographies"))
-        tracks = cls(homographies=places, on_arc=fields.pop("on_arc") != 0, **fields)
+        tracks = cls(
+            homographies=LocalHomographies.of_records(fields.pop("homographies")),
+            surroundings=Surroundings.of_records(fields.pop("surroundings")),
+            on_arc=fields.pop("on_arc") != 0,
+            **fields,
+        )
         tracks.__dict__["records"] = records
         return tracks
 
@@ -92,7 +99,7 @@ class Tracks(RowRecord):
         records = np.empty(self.ids.size, dtype=TRACK)
         for name in TRACK.names or ():
             own = getattr(self, name)
-            records[name] = own.records() if isinstance(own, LocalHomographies) else own
+            records[name] = own.records() if isinstance(own, LocalHomographies | Surroundings) else own
         return records
 
     @property
@@ -117,7 +124,12 @@ class Tracks(RowRecord):
         )
 
     def updated(
-        self, time_s: float, ids: IntArray, homographies: LocalHomographies, sigmas_px: Array
+        self,
+        time_s: float,
+        ids: IntArray,
+        homographies: LocalHomographies,
+        sigmas_px: Array,
+        surroundings: Surroundings,
     ) -> "Tracks":
         """Return the tracks after an image at `time_s` that shows markers `ids` (N,) at `homographies`.
 
@@ -136,12 +148,17 @@ class Tracks(RowRecord):
         turned = last.velocities * last._turns(elapsed_s)
         on_arc[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - last.velocities)
         times_s, missed = np.full(ids.size, time_s), np.zeros(ids.size, dtype=np.int64)
-        seen = Tracks(ids, times_s, homographies, velocities, rates, on_arc, sigmas_px, missed)
+        seen = Tracks(ids, times_s, homographies, velocities, rates, on_arc, sigmas_px, surroundings, missed)
         missing = self.take(~np.isin(self.ids, ids) & (self.missed < MAX_MISSED))
         return seen._with(replace(missing, missed=missing.missed + 1))
 
     def with_others(
-        self, time_s: float, ids: IntArray, homographies: LocalHomographies, sigmas_px: Array
+        self,
+        time_s: float,
+        ids: IntArray,
+        homographies: LocalHomographies,
+        sigmas_px: Array,
+        surroundings: Surroundings,
     ) -> "Tracks":
         """Return the tracks if the last image, at `time_s`, shows markers `ids` (N,) at `homographies`, too.
 
@@ -149,7 +166,9 @@ class Tracks(RowRecord):
         """
         is_once = (ids[:, None] == ids).sum(axis=1) == 1
         once = np.flatnonzero(is_once & ~np.isin(ids, self.seen.ids))
-        others = no_tracks().updated(time_s, ids[once], homographies.take(once), sigmas_px[once])
+        others = no_tracks().updated(
+            time_s, ids[once], homographies.take(once), sigmas_px[once], surroundings.take(once)
+        )
         return self.take(~np.isin(self.ids, ids))._with(others)
 
     def _elapsed_s(self, time_s: float) -> Array:
@@ -171,7 +190,9 @@ def no_tracks() -> Tracks:
     """Return tracks of no marker."""
     empty, numbers = np.zeros(0, dtype=complex), np.zeros(0, dtype=np.int64)
     places = LocalHomographies(empty, empty, empty, empty)
-    return Tracks(numbers, np.zeros(0), places, empty, empty, numbers.astype(bool), np.zeros(0), numbers)
+    times_s, sigmas_px, on_arc = np.zeros(0), np.zeros(0), numbers.astype(bool)
+    cards = Surroundings.of_cards(0)
+    return Tracks(numbers, times_s, places, empty, empty, on_arc, sigmas_px, cards, numbers)
 
 
 def common_motion(before: LocalHomographies, after: LocalHomographies) -> tuple[complex, complex]:

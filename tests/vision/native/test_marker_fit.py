@@ -23,6 +23,7 @@ from skyherd.vision.photometric.fitting.local_homography import LocalHomographie
 from skyherd.vision.photometric.fitting.occlusion import fit_visible, visible_constants
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.fitting.streak_evidence import streak_evidence
+from skyherd.vision.photometric.fitting.surroundings import Surroundings
 from skyherd.vision.photometric.remeasure import MAX_STEPS as OUTLINE_STEPS
 
 DICTIONARY = "4X4_50"
@@ -74,6 +75,10 @@ def assert_alike(found, expected):
     np.testing.assert_allclose(found.cell_means, expected.cell_means, rtol=0, atol=1e-4)
     np.testing.assert_allclose(found.covariances, expected.covariances, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(found.variance_ratios, expected.variance_ratios, rtol=1e-4)
+    np.testing.assert_allclose(found.besides, expected.besides, rtol=0, atol=1e-4)
+    for name in ("levels", "textures"):
+        one, two = (getattr(fits.surroundings, name) for fits in (found, expected))
+        np.testing.assert_allclose(one, two, rtol=1e-4, atol=1e-3)
 
 
 def assert_same_plane(found, expected):
@@ -94,6 +99,33 @@ def test_compiled_fit_equals_that_of_numpy(scene, start, how):
     expected, expected_plane = fit_reference.fit_markers(*given, plane, 5.0, **options)
     assert_alike(found, expected)
     assert_same_plane(found_plane, expected_plane)
+
+
+def on_plates(frame, level):
+    """Return the image with ground of a grey level from the markers' borders on, and some texture."""
+    turned = np.exp(1j * frame.headings_rad)[:, None] * 1j * SQUARE_CORNERS
+    corners = to_points(frame.centers_px @ np.array([1, 1j])[:, None] + 30.0 * turned)
+    shares = np.zeros(frame.image.shape, dtype=np.uint8)
+    cv2.fillPoly(shares, np.rint(16 * corners).astype(np.int32), 255, cv2.LINE_AA, 4)
+    texture = np.random.default_rng(2).normal(level, 8.0, shares.shape)
+    image = frame.image * (shares / 255) + texture * (1 - shares / 255)
+    return np.rint(image.clip(0, 255)).astype(np.uint8)
+
+
+@pytest.mark.parametrize("start", ["near", "far"])
+@pytest.mark.parametrize("scene", ["level", "tilted", "steep"])
+@pytest.mark.parametrize("how", ["together", "alone", "streak"])
+def test_fit_without_cards_equals_that_of_numpy(scene, start, how):
+    frame = frame_of(scene)
+    levels = np.where(np.arange(frame.ids.size) % 3, -0.4, np.nan)
+    given = on_plates(frame, 150.0), DICTIONARY, frame.ids, start_of(frame, start, 5), 0.7, Plane(), 5.0
+    options = {"alone": how == "alone", "streak_px2": 0.4 - 0.3j if how == "streak" else None}
+    options["surroundings"] = Surroundings.of_ground(levels)
+    found, found_plane = fit_markers(*given, **options)
+    expected, expected_plane = fit_reference.fit_markers(*given, **options)
+    assert_alike(found, expected)
+    assert_same_plane(found_plane, expected_plane)
+    assert (found.surroundings.is_bare() == ~np.isnan(levels)).all()
 
 
 @pytest.mark.parametrize("start", STARTS)
@@ -155,7 +187,8 @@ def test_streak_evidence_equals_that_of_numpy(scene, streak_px2):
 def request_of(**changes):
     frame = frame_of("tilted")
     start = start_of(frame, "near", 5)
-    appearances = appearances_of(DICTIONARY, frame.ids, start.blurs(0.7), Plane(), 5.0, None)
+    around = Surroundings.of_ground(np.where(np.arange(frame.ids.size) % 4, np.nan, -0.3))
+    appearances = appearances_of(DICTIONARY, frame.ids, start.blurs(0.7), Plane(), 5.0, None, around)
     return replace(fit_request(frame.image, start, appearances, 5.0), **changes)
 
 

@@ -15,6 +15,7 @@ from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
 from skyherd.vision.native.records import APPEARANCE
 from skyherd.vision.photometric.fitting.plane import Plane
+from skyherd.vision.photometric.fitting.surroundings import Surroundings
 
 OUTSIDE_SIGMAS = 2.5
 """Pixels are read up to this many standard deviations of the blur beyond the black square, where the edge is
@@ -48,6 +49,7 @@ class MarkerAppearances:
         read_limits: (N,) marker coordinates up to which pixels are read.
         reaches_ground: (N,) whether the blur brings ground beyond the card into those pixels.
         black_ratios: (N,) black level over contrast, the r of the model.
+        surroundings: of the markers.
         half_card: distance of the card's edge from the marker's centre.
         texture: standard deviation of the ground's texture over that of the noise.
         round_in_image: whether the blur is drawn round in the image, and not in the marker's coordinates; the
@@ -61,6 +63,7 @@ class MarkerAppearances:
     read_limits: Array
     reaches_ground: BoolArray
     black_ratios: Array
+    surroundings: Surroundings
     half_card: float
     texture: float
     round_in_image: bool
@@ -72,6 +75,7 @@ class MarkerAppearances:
         records["sigma"], records["limit"] = self.sigmas, self.read_limits
         records["half_card"] = np.where(self.reaches_ground, self.half_card, np.inf)
         records["black_ratio"] = self.black_ratios
+        records["surroundings"] = self.surroundings.records()
         return records
 
 
@@ -82,23 +86,32 @@ def appearances_of(
     plane: Plane,
     noise: float,
     streak_px2: complex | None = None,
+    surroundings: Surroundings | None = None,
 ) -> MarkerAppearances:
     """Return how markers `ids` (N,) look under blurs (N,), standard deviations in marker sides.
 
     `noise`, the standard deviation of a pixel in grey levels, sets how strongly the ground's texture counts.
-    The blur has a streak if `streak_px2` is given; see the attribute.
+    The blur has a streak if `streak_px2` is given; see the attribute. Markers are on white cards unless their
+    `surroundings` are given.
 
     Raises:
         InputError: there is no such dictionary, or no marker of such an id in it.
     """
     quiet = quiet_zone(dictionary)
     beyond = np.clip(quiet - INSIDE_SIGMAS * relative_sigmas, 0, OUTSIDE_SIGMAS * relative_sigmas)
+    reaches_ground = quiet - beyond < GROUND_SIGMAS * relative_sigmas
+    if surroundings is None:
+        surroundings = Surroundings.of_cards(ids.size)
+    else:  # the ground around a marker without a card is in its model
+        beyond = np.where(surroundings.is_bare(), OUTSIDE_SIGMAS * relative_sigmas, beyond)
+        reaches_ground &= ~surroundings.is_bare()
     return MarkerAppearances(
         cells=black_cells(dictionary, ids),
         sigmas=relative_sigmas,
         read_limits=0.5 + beyond,
-        reaches_ground=quiet - beyond < GROUND_SIGMAS * relative_sigmas,
+        reaches_ground=reaches_ground,
         black_ratios=np.full(ids.size, USUAL_BLACK_RATIO),
+        surroundings=surroundings,
         half_card=0.5 + quiet,
         texture=TEXTURE / noise,
         round_in_image=plane != Plane() or streak_px2 is not None,

@@ -30,6 +30,7 @@ from skyherd.vision.photometric.fitting.appearance import MarkerAppearances, app
 from skyherd.vision.photometric.fitting.fit_result import MAX_LOG_BLUR, FitResults
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane, plane_limits
+from skyherd.vision.photometric.fitting.surroundings import Surroundings
 
 GROUND_RIDGE = 3e-4
 """Added to the ground's diagonal element of the normal matrix, since there may be no ground to be seen: a
@@ -102,6 +103,7 @@ def fit_markers(
     *,
     alone: bool = False,
     streak_px2: complex | None = None,
+    surroundings: Surroundings | None = None,
 ) -> tuple[FitResults, Plane]:
     """Fit markers `ids` (N,) that lie near `homographies`: a pixel or two, or a tenth of a side, away.
 
@@ -122,12 +124,13 @@ def fit_markers(
         alone: whether each marker has a plane of its own, also if one would explain them all.
         streak_px2: by how much the blur differs along the image's axes, the Q of `design_matrix`, px²; None
             for round blur.
+        surroundings: of the markers; white cards if left out.
 
     Returns:
         The results, in the order of `ids`, and the plane that they put the markers on.
     """
     blurs = homographies.blurs(sigma_px)
-    appearances = appearances_of(dictionary, ids, blurs, plane, noise, streak_px2)
+    appearances = appearances_of(dictionary, ids, blurs, plane, noise, streak_px2, surroundings)
     request = fit_request(image, homographies, appearances, noise, max_steps, alone=alone)
     found = plane.record()
     fits, cell_means = library().fit_markers(request, found)

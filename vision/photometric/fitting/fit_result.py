@@ -10,6 +10,7 @@ from skyherd.markers.dictionary import cells_per_side
 from skyherd.messages import Quality
 from skyherd.vision.native.records import FIT
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.surroundings import Surroundings
 from skyherd.vision.row_record import RowRecord
 
 MAX_LOG_BLUR = 0.5
@@ -38,6 +39,8 @@ class FitResults(RowRecord):
         variance_ratios: (N, 2) of positions and headings; see `correlated_noise`.
         boxes: (N,) number of boxes that the ratios are of; 0 for a marker without.
         qualities: (N,) values of `skyherd.messages.Quality`.
+        surroundings: of the markers, as the fits found them.
+        besides: (N,) mean residual of the pixels beside the marker, grey levels.
         log_odds: (N,) that it is this marker (`photometric.evidence.likelihood`); NaN where the fit alone
             decided.
     """
@@ -58,6 +61,8 @@ class FitResults(RowRecord):
     variance_ratios: Array
     boxes: Array
     qualities: IntArray
+    surroundings: Surroundings
+    besides: Array
     log_odds: Array
 
     @classmethod
@@ -79,7 +84,8 @@ class FitResults(RowRecord):
             blurs_cells=blurs * cell_means.shape[1],
             qualities=np.full(ids.size, Quality.PHOTOMETRIC.value),
             log_odds=np.full(ids.size, np.nan),
-            **{name: fits[name] for name in FIT.names or () if name != "homography"},
+            surroundings=Surroundings.of_records(fits["surroundings"]),
+            **{name: fits[name] for name in FIT.names or () if name not in ("homography", "surroundings")},
         )
 
     def print_contrasts(self) -> Array:
@@ -117,6 +123,7 @@ def no_fit_results(dictionary: str) -> FitResults:
             "sigmas_px",
             "pixels",
             "peaks",
+            "besides",
         )
     }
     return FitResults(
@@ -128,6 +135,7 @@ def no_fit_results(dictionary: str) -> FitResults:
         variance_ratios=np.ones((0, 2)),
         boxes=empty,
         qualities=np.zeros(0, dtype=np.int64),
+        surroundings=Surroundings.of_cards(0),
         log_odds=empty,
         **scalars,
     )

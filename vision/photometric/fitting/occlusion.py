@@ -99,7 +99,7 @@ def fit_visible(
     """
     sigmas_px = np.array(np.broadcast_to(sigma_px, (fits.ids.size,)), dtype=float)
     blurs = fits.homographies.blurs(sigmas_px)
-    appearances = appearances_of(dictionary, fits.ids, blurs, plane, noise)
+    appearances = appearances_of(dictionary, fits.ids, blurs, plane, noise, surroundings=fits.surroundings)
     appearances = replace(appearances, black_ratios=fits.blacks / fits.contrasts)
     request = VisibleRequest(
         markers=fit_request(image, fits.homographies, appearances, noise),

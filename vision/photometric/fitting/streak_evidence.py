@@ -76,6 +76,9 @@ def streak_evidence(
         streak_px2: Q that they were fitted under, px².
     """
     shapes = fits.homographies
-    appearances = appearances_of(dictionary, fits.ids, shapes.blurs(fits.sigmas_px), plane, noise, streak_px2)
+    blurs = shapes.blurs(fits.sigmas_px)
+    appearances = appearances_of(
+        dictionary, fits.ids, blurs, plane, noise, streak_px2, surroundings=fits.surroundings
+    )
     appearances = replace(appearances, black_ratios=fits.blacks / np.maximum(fits.contrasts, 1.0))
     return StreakEvidence(*library().streak_evidence(fit_request(image, shapes, appearances, noise)))

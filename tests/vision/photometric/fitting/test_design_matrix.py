@@ -7,7 +7,13 @@ import pytest
 from pixel_reference import UNKNOWNS as NAMES
 from pixel_reference import columns_of, draw
 from scipy.ndimage import gaussian_filter
-from tests.helpers.design_matrix_reference import MIDDLE_GREY, PIXEL_ROW, DesignMatrices, taken
+from tests.helpers.design_matrix_reference import (
+    MIDDLE_GREY,
+    PIXEL_ROW,
+    DesignMatrices,
+    taken,
+    textures_over_noise,
+)
 from tests.helpers.homography_reference import blur_anisotropies
 
 from skyherd.markers.dictionary import cells_per_side, marker_cells
@@ -29,6 +35,7 @@ from skyherd.vision.photometric.fitting.design_matrix import (
     TURN,
 )
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.surroundings import Surroundings
 
 DICTIONARY, MARKER, SIGMA = "4X4_50", 11, 0.03
 DICTIONARIES = [
@@ -52,6 +59,7 @@ def appearances(dictionary, ids, sigmas, **changed):
         read_limits=np.full(count, 0.5 + 0.3 / n),
         reaches_ground=np.ones(count, dtype=bool),
         black_ratios=np.full(count, 0.15),
+        surroundings=Surroundings.of_cards(count),
         half_card=0.5 + 1 / n,
         texture=6.0,
         round_in_image=False,
@@ -93,8 +101,8 @@ def test_columns_have_the_references_order():
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("dictionary", DICTIONARIES)
 def test_columns_are_those_of_the_reference(dictionary, seed):
-    """Markers anisotropic and with keystone, across the border too; where blur is round in the image, those
-    that are drawn to first order. Under blurs of 0.03 to 0.75 cells, on cards of
+    """Markers anisotropic and with keystone, across the border too, with and without cards; where blur is
+    round in the image, those that are drawn to first order. Under blurs of 0.03 to 0.75 cells, on cards of
     many widths. Rounding a place of some cells to single precision moves it by `2^-22 cells` and so by that
     over σ in standard deviations. An edge that is out of reach is off by 3e-7 and in its slope and curvature
     by 1.5e-6 and 7e-6; some edges are, on two axes."""
@@ -118,8 +126,16 @@ def test_columns_are_those_of_the_reference(dictionary, seed):
         texture=float(rng.uniform(1, 30)),
         half_card=float(rng.uniform(0.52, 0.7)),
         round_in_image=bool(seed % 2),
+        surroundings=Surroundings(
+            np.where(rng.random(count) < 0.4, rng.uniform(-0.9, 0.3, count), np.nan),
+            rng.uniform(0, 30, count),
+        ),
     )
-    drawn = read(image, where, looks)
+    drawn, bare, textures = (
+        read(image, where, looks),
+        looks.surroundings.is_bare(),
+        textures_over_noise(looks),
+    )
     for row in range(count):
         expected, places, pixels = columns_of(
             image,
@@ -129,9 +145,10 @@ def test_columns_are_those_of_the_reference(dictionary, seed):
             sigma=looks.sigmas[row],
             limit=looks.read_limits[row],
             ratio=looks.black_ratios[row],
-            half_card=looks.half_card if looks.reaches_ground[row] else None,
-            texture=looks.texture,
+            half_card=looks.half_card if looks.reaches_ground[row] and not bare[row] else None,
+            texture=textures[row],
             round_in_image=looks.round_in_image,
+            ground_level=looks.surroundings.levels[row] if bare[row] else None,
         )
         own = slice(drawn.bounds[row], drawn.bounds[row + 1])
         assert drawn.counts[row] == len(expected)
@@ -265,7 +282,7 @@ def test_means_over_cells_are_those_of_the_pixels_in_them():
     for restricted in (False, True):
         if restricted:
             pixels.leave_out(~used)
-        means, peaks = pixels.cell_residuals(np.zeros((2, UNKNOWNS)), 6)
+        means, peaks, _ = pixels.cell_residuals(np.zeros((2, UNKNOWNS)), 6)
         for row, (begin, end) in enumerate(zip(pixels.bounds[:-1], pixels.bounds[1:], strict=True)):
             v, u = pixels.pixels[begin:end].T
             kept = used[begin:end] | (not restricted)
@@ -322,7 +339,7 @@ def test_markers_without_pixels_have_columns_of_none(kind):
         assert not pixels.counts[:-1].any()
         assert not pixels.gram_matrices()[:-1].any()
     np.testing.assert_array_equal(pixels.columns[-alone.counts[0] :], alone.columns)
-    means, peaks = pixels.cell_residuals(np.zeros((len(bad) + 1, UNKNOWNS)), 6)
+    means, peaks, _ = pixels.cell_residuals(np.zeros((len(bad) + 1, UNKNOWNS)), 6)
     assert np.isfinite(means).all() and np.isfinite(peaks).all()
     sums = pixels.squared_box_sums(
         np.ones((len(bad) + 1, UNKNOWNS)), np.ones((len(bad) + 1, 3, UNKNOWNS)), np.arange(len(bad) + 1), 4

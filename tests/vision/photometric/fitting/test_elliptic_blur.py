@@ -7,15 +7,16 @@ from tests.helpers.design_matrix_reference import DesignMatrices, second_derivat
 
 from skyherd.markers.dictionary import cells_per_side, marker_cells
 from skyherd.vision.photometric.fitting.appearance import MarkerAppearances
-from skyherd.vision.photometric.fitting.design_matrix import BLUR, CONTRAST, RIGHT
+from skyherd.vision.photometric.fitting.design_matrix import BLUR, CONTRAST, GROUND, RIGHT
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
+from skyherd.vision.photometric.fitting.surroundings import Surroundings
 
 DICTIONARY, MARKER, FINE = "4X4_50", 11, 12
 SIZE = 60
 IMAGE = np.full((SIZE, SIZE), 128, dtype=np.uint8)
 
 
-def drawn(where, sigma_px, streak_px2):
+def drawn(where, sigma_px, streak_px2, ground_level=np.nan):
     n = cells_per_side(DICTIONARY)
     looks = MarkerAppearances(
         cells=np.pad(~marker_cells(DICTIONARY, MARKER), 1).astype(np.float32)[None],
@@ -23,6 +24,7 @@ def drawn(where, sigma_px, streak_px2):
         read_limits=np.array([0.5 + 0.5 / n]),
         reaches_ground=np.array([False]),
         black_ratios=np.array([0.15]),
+        surroundings=Surroundings(np.array([ground_level]), np.zeros(1)),
         half_card=0.5 + 1 / n,
         texture=6.0,
         round_in_image=True,
@@ -31,7 +33,7 @@ def drawn(where, sigma_px, streak_px2):
     return DesignMatrices(IMAGE, np.array([0]), where, looks)
 
 
-def on_lattice(where, sigma_px, streak_px2):
+def on_lattice(where, sigma_px, streak_px2, ground=1.0):
     """Sample the marker at 12 points a pixel along each axis, and blur it by FFT."""
     count, n = SIZE * FINE, cells_per_side(DICTIONARY)
     points = (np.arange(count) + 0.5) / FINE - 0.5
@@ -40,7 +42,7 @@ def on_lattice(where, sigma_px, streak_px2):
     w = 1 / (1 - (where.perspectives[0].conj() * away).real)
     column, row = (np.floor(((axis.conj() * away).real * w + 0.5) * n) for axis in (x_axis, y_axis))
     inside = (column >= 0) & (column < n) & (row >= 0) & (row < n)
-    white = np.ones((count, count))
+    white = np.full((count, count), ground)
     white[inside] = marker_cells(DICTIONARY, MARKER)[row[inside].astype(int), column[inside].astype(int)]
     f_v, f_u = np.meshgrid(*[2 * np.pi * np.fft.fftfreq(count, 1 / FINE)] * 2, indexing="ij")
     q, s = streak_px2, sigma_px**2
@@ -79,6 +81,21 @@ def test_markers_under_elliptic_blur_are_those_of_a_fine_lattice(where, streak_p
     if streak_px2:
         round_blur = drawn(where, 1.0, 0j)
         assert np.abs(round_blur.columns[:, CONTRAST] - expected).max() > 0.05
+
+
+@pytest.mark.parametrize(
+    ("where", "streak_px2"),
+    [(shape(0.0, 0.0, 0.3), 0.65 * np.exp(0.9j)), (shape(0.33 * np.exp(1.1j), 0.1, 0.8), 0j)],
+)
+def test_elliptic_blur_of_marker_without_card(where, streak_px2):
+    """Ground darker than white by 0.6 of the contrast, at the limits of the test above."""
+    level = -0.6
+    seen = drawn(where, 1.0, streak_px2, level)
+    expected = on_lattice(where, 1.0, streak_px2, 1 + level)(seen.pixels)
+    found = seen.columns[:, CONTRAST] + level * seen.columns[:, GROUND]
+    assert np.abs(found - expected).max() < 0.01
+    assert np.sqrt(np.mean((found - expected) ** 2)) < 0.003
+    assert np.ptp(seen.columns[:, GROUND]) > 0.9
 
 
 def test_derivatives_are_differences():

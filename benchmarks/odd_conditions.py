@@ -6,8 +6,8 @@
 Each condition is applied to images of twelve markers of 40 px on a plane that is tilted by up to 40 degrees;
 its strength is that of the table. `--tuning` takes other seeds and other strengths, for work on the detector:
 the table is then no result. Columns: markers found with their id, of all; wrong ids of all detectors; root
-mean square of the error of centres of `photometric`, px; its NEES, of all markers and of those that are not
-photometric.
+mean squares of the errors of centres and of corners of `photometric`, px; the NEES of its centres, of all
+markers and of those that are not photometric.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from skyherd.geometry import Array, apply_homography, inverse
 from skyherd.markers.blur_model import total_sigma_px
 from skyherd.markers.dictionary import cells_per_side, dictionary_size
 from skyherd.messages import Quality
-from skyherd.render import Camera, CameraPose, Ground, Quad, Renderer, Sensor, Shot
+from skyherd.render import Camera, CameraPose, FrameTruth, Ground, Quad, Renderer, Sensor, Shot
 from skyherd.render.camera.camera import homography_image_ground
 from skyherd.vision import create_detector
 
@@ -48,8 +48,8 @@ Grey = npt.NDArray[np.float32]
 
 def scene(
     dictionary: str, rng: np.random.Generator, margin_cells: float, beyond: float
-) -> tuple[Grey, Array, Array]:
-    """Return the grey levels (height, width) of twelve markers, their ids (12,) and centres (12, 2), px.
+) -> tuple[Grey, FrameTruth]:
+    """Return the grey levels (height, width) of twelve markers, and where they are.
 
     `beyond` is the grey level beyond margins that are narrower than a cell.
     """
@@ -71,7 +71,7 @@ def scene(
     shot = Shot(camera, pose, ids, places_m, headings_rad, occluders=margins)
     ground = Ground(int(rng.integers(1000)), mean=GROUND_LEVEL, sigma_px=total_sigma_px(BLUR_PX))
     renderer = Renderer(dictionary, 1.0, ground, Sensor(0.0, rng), psf_px=BLUR_PX)
-    return renderer.render(shot).astype(np.float32), ids, renderer.truth(shot).centers_px
+    return renderer.render(shot).astype(np.float32), renderer.truth(shot)
 
 
 def outer_strips(dictionary: str, place_m: Array, heading_rad: float, margin_cells: float) -> list[Array]:
@@ -401,10 +401,14 @@ def measure(name: str, dictionary: str, detectors: dict[str, Any], *, tuning: bo
     change, *strengths = CONDITIONS.get(name, (unchanged, 0.0, 0.0))
     strength, margin = strengths[tuning], MARGINS.get(name, (1.0, GROUND_LEVEL))
     row: dict[str, Any] = {"condition": name, "strength": strength, "markers": 0}
-    row |= {key: {"found": 0, "wrong": 0, "off_px": [], "nees": [], "plain": []} for key in detectors}
+    row |= {
+        key: {"found": 0, "wrong": 0, "off_px": [], "corners_off_px": [], "nees": [], "plain": []}
+        for key in detectors
+    }
     for number in range(IMAGES):
         rng = np.random.default_rng([900 if tuning else 100, number, *name.encode()[:8]])
-        levels, ids, centers = scene(dictionary, rng, *margin)
+        levels, truth = scene(dictionary, rng, *margin)
+        ids, centers = truth.ids, truth.centers_px
         image = finished(change(levels, centers, rng, strength), rng)
         row["markers"] += len(ids)
         for key, detector in detectors.items():
@@ -418,6 +422,8 @@ def measure(name: str, dictionary: str, detectors: dict[str, Any], *, tuning: bo
                 one["found"] += 1
                 off = seen.centers_px[k] - centers[nearest]
                 one["off_px"].append(float(np.hypot(*off)))
+                corners = seen.corners_px[k] - truth.corners_px[nearest]
+                one["corners_off_px"].append(float(np.sqrt((corners**2).sum(axis=1).mean())))
                 covariance = seen.covariances[k, :2, :2]
                 if covariance.any():
                     one["nees"].append(float(off @ np.linalg.solve(covariance, off) / 2))
@@ -447,8 +453,8 @@ def main() -> None:
     lines = [
         f"| {given.dictionary} | strength | "
         + " | ".join(names)
-        + " | wrong | RMS, px | NEES | others' NEES |",
-        "|---" * (6 + len(names)) + "|",
+        + " | wrong | RMS, px | corners, px | NEES | others' NEES |",
+        "|---" * (7 + len(names)) + "|",
     ]
     rows = []
     print("\n".join(lines), flush=True)
@@ -459,7 +465,8 @@ def main() -> None:
         others = [n for n, q in zip(ours["nees"], ours["plain"], strict=True) if q < Quality.PHOTOMETRIC]
         cells = [f"{row[key]['found']} of {row['markers']}" for key in names]
         cells.append(", ".join(str(row[key]["wrong"]) for key in names))
-        cells.append(f"{np.sqrt(np.mean(np.square(ours['off_px']))):.3f}" if ours["off_px"] else "–")
+        for errors in (ours["off_px"], ours["corners_off_px"]):
+            cells.append(f"{np.sqrt(np.mean(np.square(errors))):.3f}" if errors else "–")
         cells += [f"{np.mean(each):.2g} ({len(each)})" if each else "–" for each in (ours["nees"], others)]
         lines.append(f"| {name} | {row['strength']:g} | " + " | ".join(cells) + " |")
         print(lines[-1], flush=True)

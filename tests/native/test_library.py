@@ -189,6 +189,7 @@ def fuzz_marker_fit(library, rng, image, cells, count):
             wild = rng.choice([0.0, 1e-300, 1e300, np.inf, np.nan, -1.0]) if rng.random() < 0.1 else None
             records[name] = scale * rng.normal(size=count) if wild is None else wild
     start["perspectives"] /= 1e4
+    looks["surroundings"]["levels"][rng.random(count) < 0.5] = np.nan  # on cards
     plane["shared"] = rng.integers(0, 2)
     plane["perspective"] = 1e-3 * rng.normal()
     streak = None if rng.random() < 0.5 else complex(rng.normal())
@@ -223,6 +224,7 @@ def fuzz_following(library, rng, image, cells, places):
     for name in ("velocities", "similarity_log_rates", "times_s", "sigmas_px"):
         if rng.random() < 0.3:
             tracks[name] = rng.choice([0.0, 1e-300, 1e300, np.inf, np.nan, -1.0, 1.0], len(places))
+    tracks["surroundings"]["levels"] = rng.choice([np.nan, np.nan, 0.0, -0.4, np.inf], len(places))
     tracks["on_arc"], tracks["missed"] = rng.integers(0, 2, len(places)), rng.integers(0, 20, len(places))
     if rng.random() < 0.5:
         limits = constants.verification

@@ -31,14 +31,11 @@ static void release_scratch(Scratch *scratch) {
 
 /* Return how a marker looks under a blur, in sides (fitting/appearance.py). */
 Appearance appearance_of(const FollowConstants *constants, double sigma, Surroundings around) {
-    if (!isnan(around.level))
-        return (Appearance){sigma, 0.5 + constants->outside_sigmas * sigma, INFINITY, constants->black_ratio,
-                            around};
-    const double quiet = constants->quiet;
-    const double beyond = limited(quiet - constants->inside_sigmas * sigma, 0.0, constants->outside_sigmas * sigma);
+    const double quiet = constants->quiet, outside = constants->outside_sigmas * sigma, ratio = constants->black_ratio;
+    const double beyond = limited(quiet - constants->inside_sigmas * sigma, 0.0, outside);
     const int reaches_ground = quiet - beyond < constants->ground_sigmas * sigma;
-    return (Appearance){sigma, 0.5 + beyond, reaches_ground ? 0.5 + quiet : INFINITY, constants->black_ratio,
-                        around};
+    if (!isnan(around.level)) return (Appearance){sigma, 0.5 + outside, INFINITY, ratio, around};
+    return (Appearance){sigma, 0.5 + beyond, reaches_ground ? 0.5 + quiet : INFINITY, ratio, around};
 }
 
 static int32_t fit_in_view(const FollowRequest *given, Scratch *scratch, FollowResults *results) {

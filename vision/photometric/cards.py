@@ -41,13 +41,13 @@ MAX_RESIDUAL_RATIO = 0.5
 """Largest ratio of residuals, of a fit to ground over that of a fit to a card, that decides where both exceed
 the noise. Measured: 0.1 to 0.42 on plates."""
 
-LEVEL_TEXTURES, NOISE_LEVEL_TEXTURES, MAX_LEVEL_RATIO = 2.0, 0.4, 12.0
+LEVEL_TEXTURES, NOISE_LEVEL_TEXTURES, MAX_LEVEL_RATIO = 3.0, 0.4, 12.0
 """Limits of the darkening of the ground: in standard deviations of its texture, at least, of fits that leave
-more than the noise and of others; and over the mean residual beside the marker, at most. Derived: a frame
-that is dark over a share p has `sqrt(p / (1 - p))` of the first: four fifths of it, or a seventh, are dark.
-Measured: on photographs small black squares at the corners of markers reach 0.9, and shadows across drawings
-1.8; very rough ground without them has 0.5 or more. The last is 2 to 8 on plates, and up to 20 for halos of
-sharpening."""
+more than the noise or replace a verified one, and of others; and over the mean residual beside the marker, at
+most. Derived: a frame that is dark over a share p has `sqrt(p / (1 - p))` of the first: nine tenths of it, or
+a seventh, are dark. Measured: small black squares at the corners of markers have up to 0.9 of it, shadows
+across markers 1.8, and cards of a quarter cell about 2; plates have 10 or more, grass 5, and very rough
+ground 0.5. The last is 2 to 8 on plates, and up to 20 for halos of sharpening."""
 
 MAX_OUTLINE_RATIO = 3.0
 """Largest ratio of the darkening that a fit to ground has found over what the outline brightens less than
@@ -125,15 +125,15 @@ def refit_each_without_card(
     old, ground = fits.take(rows), Surroundings.of_ground(np.zeros(rows.size))
     given = old.ids, start.take(rows), START_SIGMA_PX, OWN_PLANES, noise
     new, _ = fit_any_blur(image, dictionary, *given, alone=True, surroundings=ground)
-    better = _are_explained(old, new, noise) | ~was_good[rows]
-    better &= are_on_ground(new, noise) & verified(new, noise, distance)
+    better = np.where(was_good[rows], _are_explained(old, new, noise), are_on_ground(new, noise))
+    better &= verified(new, noise, distance)
     return fits.put(rows[better], new.take(better))
 
 
 def are_on_ground(fits: FitResults, noise: float) -> BoolArray:
-    """Return which fits to ground (N,) have found darker ground, and leave only noise or show it clearly.
+    """Return which fits to ground (N,) of likely markers have found darker ground.
 
-    `noise` is the standard deviation of a pixel, grey levels.
+    It must be darker by more if a fit leaves more than `noise`, a pixel's standard deviation, grey levels.
     """
     only_noise = fits.noise_stds <= NOISE_FACTOR * noise
     textures = np.where(only_noise, NOISE_LEVEL_TEXTURES, LEVEL_TEXTURES) * fits.surroundings.textures
@@ -153,8 +153,10 @@ def _are_explained(old: FitResults, new: FitResults, noise: float) -> BoolArray:
     ratios = new.noise_stds / old.noise_stds
     fall = -2 * new.pixels * np.log(ratios)
     to_noise = (new.noise_stds <= NOISE_FACTOR * noise) & (fall > SIGNIFICANT)
-    is_seen = _darkening(new) < -MAX_LEVEL_RATIO * old.besides
-    return np.asarray(is_seen & (to_noise | (ratios <= MAX_RESIDUAL_RATIO)))
+    darkening = _darkening(new)
+    is_plain = darkening > LEVEL_TEXTURES * new.surroundings.textures
+    is_seen = darkening < -MAX_LEVEL_RATIO * old.besides
+    return np.asarray(is_plain & is_seen & (to_noise | (ratios <= MAX_RESIDUAL_RATIO)))
 
 
 def _darkening(fits: FitResults) -> Array:

@@ -14,7 +14,9 @@ with these unknowns, 15 in all, of which eight make up a homography:
 - a step of the pose, δz = d + (s + iθ) z + e z̄ - z Re(q̄ z): shift d, scale s, rotation θ, anisotropy e,
   keystone q;
 - a change δ log σ of the blur's logarithm;
-- ground level g beyond the card, which covers the share A of a pixel;
+- ground level g, less that of white, beyond the card, which covers the share A of a pixel. Around a marker
+  without a card the ground begins at the border, and slopes are those of T + (g / b) (1 - A)
+  (`surroundings`);
 - light l that changes over the marker;
 - a bend c of the tone curve, by which a camera's gamma shifts edges towards black.
 

@@ -21,7 +21,7 @@ Columns:
 import argparse
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,7 @@ from skyherd.live.session import Session
 from skyherd.live.stop_latch import NOT_HALTED
 from skyherd.live.unit_core import UnitCore
 from skyherd.live.wire import MAX_BYTES, VERSION, Heartbeat
-from skyherd.messages import VelocityCommand
+from skyherd.messages import Detections, VelocityCommand
 from skyherd.sim.physics import make_world
 from skyherd.sim.projected_perception import ProjectedPerception
 from skyherd.sim.truth_metrics import TruthObserver
@@ -67,6 +67,7 @@ class Process:
         dead_until_s: it is killed until then.
         frozen_until_s: it is suspended until then; messages wait for it.
         told: reasons that it gave, in order, each once in a row.
+        state: reason of a robot's last decision, which its heartbeats carry.
     """
 
     name: str
@@ -77,6 +78,7 @@ class Process:
     dead_until_s: float = -1.0
     frozen_until_s: float = -1.0
     told: list[str] = field(default_factory=list)
+    state: str = ""
 
     def say(self, line: str) -> None:
         """Record a line unless it equals the last one."""
@@ -99,13 +101,21 @@ class Team:
         woke: robots that were frozen when the stop came, with the times at which they woke up.
         turned_after_waking: whether a wheel of one of these turned after it woke up.
         see: filters the time at which an image seems to be taken; None loses the image.
+        delay_s: delay of the images that their times do not show, as of a stream without a clock.
         driven: by robot, the one whose wheels its driver turns; a robot that is left out turns none.
     """
 
-    def __init__(self, lab: Lab, settings: list[str], seed: int, air: Air | None = None) -> None:
+    def __init__(
+        self,
+        lab: Lab,
+        settings: list[str],
+        seed: int,
+        air: Air | None = None,
+        scenario_name: str = "triangle",
+    ) -> None:
         self.lab = lab
         self.mission = load_mission(
-            "triangle", ["perception=ideal", "units.*.tilt_deg=[3.0,2.0]", *settings], seed=seed
+            scenario_name, ["perception=ideal", "units.*.tilt_deg=[3.0,2.0]", *settings], seed=seed
         )
         scenario = self.mission.scenario
         self.world = make_world(self.mission)
@@ -135,6 +145,8 @@ class Team:
         self.errors: list[float] = []
         self.armed_s: float | None = 2.0
         self.see: Callable[[int, float], float | None] = lambda unit, time_s: time_s
+        self.delay_s = 0.0
+        self._images: dict[int, list[Detections]] = {}
         self.driven = {robot: robot for robot in lab.ids}
 
     def start(self, name: str) -> Process:
@@ -231,15 +243,17 @@ class Team:
         if isinstance(core, UnitCore):
             return core.heartbeat(clock_s, "")
         stands = not any(self.wheels.get(core.robot_id, (0.0, 0.0))[:2])
-        return core.heartbeat(clock_s, "", core.latch.stop if stands else NOT_HALTED)
+        return core.heartbeat(clock_s, process.state, core.latch.stop if stands else NOT_HALTED)
 
     def _look(self, process: Process, clock_s: float) -> None:
         unit = process.core.unit_id
         taken_s = self.see(unit, clock_s)
         if taken_s is None:
             return
-        sight = self.perception.look(self.world, [unit], taken_s)[0]
-        news = process.core.see(sight.detections, clock_s)
+        images = self._images.setdefault(unit, [])
+        images.append(self.perception.look(self.world, [unit], taken_s)[0].detections)
+        shown = images[max(len(images) - 1 - round(self.delay_s / PERIOD_S), 0)]
+        news = process.core.see(replace(shown, time_s=taken_s), clock_s)
         if process.core.trouble:
             process.say(process.core.trouble)
         if news is None:
@@ -251,6 +265,7 @@ class Team:
     def _drive(self, process: Process, clock_s: float) -> None:
         core: RobotCore = process.core
         order = core.decide(clock_s)
+        process.state = order.reason
         process.say(order.reason)
         self.wheels[core.robot_id] = order.v_mps, order.omega_radps, self.now_s
         age_s = core.image_age_s(clock_s)

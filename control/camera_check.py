@@ -11,16 +11,21 @@ The check has two states:
   such a motion and its own do not, or if half of the robots jump further than they can drive.
 - *Suspected*: the unit sends nothing and holds its position. It trusts the camera again once the image has
   changed, and its own robots have then stood still for `STEADY_S`.
+- *Latched*: as suspected, until `reset`. A unit with an operator latches the `RECURRING`th suspicion within
+  `RECURRING_S`. Without an operator there is no such state.
 
 A suspected unit sends no goals, so that its own robots stop. A delayed camera shows that only after its
-delay. The unit therefore trusts it only when its images are up to date again. docs/bodies.md lists the faults
-that cannot be detected.
+delay. The unit therefore trusts it only when its images are up to date again. Such a camera is suspected
+again and again, since its robots stand in its images while they drive. When the check trusts a camera again,
+it compares the motion in the last images with the commanded motion of earlier times. If both agree only at a
+delay, the next suspicion names it. docs/bodies.md lists the faults that cannot be detected.
 """
 
 from collections import deque
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -75,6 +80,33 @@ RESPONSIVE = 0.2
 """Share of the commanded motion below which a robot does not respond. Derived: the quotient of `STILL_SIDES`
 and `MOVED_SIDES`."""
 
+RECURRING, RECURRING_S = 3, 30.0
+"""Number of suspicions within a time, s, of which a unit with an operator latches the last. Chosen: measured,
+a camera late by 1 s is suspected every 3.3 s, and one late by 3 s every 5.4 s. A single outage of a stream
+causes one suspicion."""
+
+SAMPLE_S = 0.2
+"""Minimum time between the images in which a delay is measured, s. Chosen: a robot at `MIN_PACE_SIDES_PS`
+moves by ten times the noise of a centre meanwhile."""
+
+MEMORY_S = 10.0
+"""Maximum time of the images in which a delay is measured, s. Chosen: twice the time between two suspicions
+of a camera late by 3 s."""
+
+MAX_DELAY_S = 5.0
+"""Largest delay that is measured, s. Chosen: above the buffers of encoders and networks."""
+
+DELAY_STEP_S = 0.1
+"""Step of the delays that are compared, s. Chosen: below the error of 0.3 s from unknown lags of robots."""
+
+ALIKE = 0.7
+"""Minimum cosine between the motion in the images and the commanded one for a delay. Measured: at least 0.87
+in the lab `table` for cameras late by 1 to 3 s, and usually 0.8 in `triangle`, whose unit flies."""
+
+UNLIKE = 0.9
+"""Maximum cosine at the usual lags, relative to that at a delay. Measured: at most 0.65 for cameras late by
+1.5 s or more, 0.93 for those late by 1 s, and 1.0 for those late by 0.7 s or frozen."""
+
 
 @dataclass(frozen=True)
 class CameraRule:
@@ -86,6 +118,8 @@ class CameraRule:
         max_speed_mps: top speed of the robots.
         lag_s: maximum time from an image to the visible effect of its goals.
         avoidance: the robots' bound on approach speeds; None without avoidance.
+        has_operator: whether an operator can clear a latched suspicion (`CameraCheck.reset`). Without one, no
+            suspicion is latched.
     """
 
     law: RobotLaw
@@ -93,6 +127,7 @@ class CameraRule:
     max_speed_mps: float
     lag_s: float = 0.4
     avoidance: AvoidanceRule | None = None
+    has_operator: bool = False
 
     def __post_init__(self) -> None:
         check_numbers(self, positive=("side_m", "max_speed_mps"), not_negative=("lag_s",))
@@ -177,6 +212,7 @@ class CameraCheck:
 
     Attributes:
         suspicion: reason why the camera is suspected; empty while it is trusted.
+        is_latched: whether the suspicion lasts until `reset`.
 
     Args:
         rule: the robots' response to goals.
@@ -184,21 +220,25 @@ class CameraCheck:
     """
 
     def __init__(self, rule: CameraRule, ids: IntArray) -> None:
-        self.suspicion = ""
         self._rule, self._ids = rule, ids
-        self._last: _View | None = None
-        self._still: _View | None = None
-        self._trial: _View | None = None
         self._others: dict[int, _View] = {}
         self._paces: deque[tuple[float, Array]] = deque()
+        self._samples: deque[_View] = deque()
+        self._suspected_s: deque[float] = deque()
         self._idle = np.zeros(ids.size, dtype=bool)
-        self._frozen: _View | None = None
+        self.reset()
 
     def reset(self) -> None:
         """Trust the camera, as at the start."""
-        self.suspicion, self._frozen = "", None
-        self._last = self._still = self._trial = None
+        self.suspicion, self.is_latched = "", False
+        self._last: _View | None = None
+        self._still: _View | None = None
+        self._trial: _View | None = None
+        self._frozen: _View | None = None
+        self._delay_s = 0.0
         self._paces.clear()
+        self._samples.clear()
+        self._suspected_s.clear()
 
     def look(self, detections: Detections, reports: Sequence[UnitReport]) -> str:
         """Judge an image, and return the reason why the camera is suspected, or an empty string.
@@ -214,13 +254,37 @@ class CameraCheck:
         if last is None or not 0 < view.time_s - last.time_s <= MAX_GAP_S:
             self._still, self._trial = view, view
             self._others.clear()
+            self._samples.clear()
+            return self.suspicion
+        self._keep(view)
+        if self.is_latched:
             return self.suspicion
         if self.suspicion:
             self._look_again(view, last, reports)
-        else:
-            self.suspicion = self._contradiction(view, last, reports)
-            self._frozen = view if self.suspicion else None
+        elif contradiction := self._contradiction(view, last, reports):
+            self._suspect(contradiction, view)
         return self.suspicion
+
+    def _suspect(self, contradiction: str, view: _View) -> None:
+        """Suspect the camera from this image on, and latch the suspicion if it recurs."""
+        self._frozen = view
+        self._suspected_s.append(view.time_s)
+        while view.time_s - self._suspected_s[0] > RECURRING_S:
+            self._suspected_s.popleft()
+        if len(self._suspected_s) == 1:
+            self._delay_s = 0.0
+        self.is_latched = self._rule.has_operator and len(self._suspected_s) >= RECURRING
+        recurs = f"; suspected {RECURRING} times within {RECURRING_S:g} s" if self.is_latched else ""
+        self.suspicion = (self._lateness() or contradiction) + recurs
+
+    def _lateness(self) -> str:
+        """Return the delay measured after the last suspicion, as a text; empty if none was found."""
+        if not self._delay_s:
+            return ""
+        return (
+            f"images are late: they follow the commands after about {self._delay_s:.1f} s instead of "
+            f"{self._rule.lag_s:.1f} s at most; the camera's encoder or the network delays them"
+        )
 
     def command(
         self,
@@ -250,8 +314,17 @@ class CameraCheck:
         if paces.any() or not self._paces or self._paces[-1][1].any():  # a team at rest adds nothing
             self._paces.append((self._last.time_s, paces))
         starts_s = [image.time_s for image in (self._still, self._trial) if image is not None]
+        starts_s.append(self._last.time_s - MEMORY_S - MAX_DELAY_S)
         while len(self._paces) > 1 and self._paces[1][0] <= min(starts_s):
             self._paces.popleft()
+
+    def _keep(self, view: _View) -> None:
+        """Keep an image for the measurement of a delay, unless it follows the last one too soon."""
+        if self._samples and view.time_s - self._samples[-1].time_s < SAMPLE_S:
+            return
+        self._samples.append(view)
+        while view.time_s - self._samples[0].time_s > MEMORY_S:
+            self._samples.popleft()
 
     def _view(self, detections: Detections) -> _View | None:
         """Return the places of the team in an image; None without robots."""
@@ -268,13 +341,44 @@ class CameraCheck:
         """Return the mask (N,) of the robots that other units control."""
         return among(self._ids, frozenset().union(*(report.controlled for report in reports)))
 
-    def _commanded_sides(self, since_s: float, until_s: float) -> Array:
-        """Return the minimum commanded motions (N,), marker sides, of goals of a time span."""
-        total = np.zeros(self._ids.size)
-        ends_s = [*(time_s for time_s, _ in self._paces), np.inf][1:]
-        for (time_s, paces), end_s in zip(self._paces, ends_s, strict=True):
-            total += paces * max(min(end_s, until_s, time_s + MAX_GAP_S) - max(time_s, since_s), 0.0)
-        return total
+    def _commanded_sides(self, since_s: float | Array, until_s: float | Array) -> Array:
+        """Return the minimum commanded motions (..., N), marker sides, of goals of time spans (...)."""
+        times_s = np.array([time_s for time_s, _ in self._paces])
+        ends_s = np.minimum(np.append(times_s[1:], np.inf), times_s + MAX_GAP_S)
+        since_s, until_s = np.asarray(since_s)[..., None], np.asarray(until_s)[..., None]
+        spans_s = np.maximum(np.minimum(ends_s, until_s) - np.maximum(times_s, since_s), 0.0)
+        paces = np.array([paces for _, paces in self._paces]).reshape(times_s.size, self._ids.size)
+        return np.asarray(spans_s @ paces)
+
+    def _measured_delay_s(self) -> float:
+        """Return the delay at which the motion in the last images follows the commands, s; 0 for none.
+
+        With the motions o in the images and the commanded motions c(d) of d seconds before, of all robots in
+        all intervals between images, it is the d of the largest cosine o · c(d) / |o| |c(d)|. It is 0 unless
+        that is at least `ALIKE`, and all cosines within the longest lag of the loop are below it (`UNLIKE`).
+        Motions count in the image, as of a camera at rest, or relative to the other robots, as of one that
+        flies, whichever agree better. They count up to the top speed: a camera that was frozen shows a jump.
+        """
+        if len(self._samples) < 2:
+            return 0.0
+        everyone = np.ones(self._ids.size, dtype=bool)
+        moved = [view.moved_sides(last) for last, view in pairwise(self._samples)]
+        relative = [view.relative_sides(last, everyone) for last, view in pairwise(self._samples)]
+        times_s = np.array([view.time_s for view in self._samples])
+        reach_sides = self._rule.max_speed_mps / self._rule.side_m * np.diff(times_s)[:, None]
+        seen = np.minimum([moved, relative], reach_sides)
+        delays_s = np.arange(0.0, MAX_DELAY_S + DELAY_STEP_S / 2, DELAY_STEP_S)
+        ends_s = times_s - delays_s[:, None]
+        commanded = self._commanded_sides(ends_s[:, :-1], ends_s[:, 1:])
+        seen_norms = np.linalg.norm(seen, axis=(1, 2))[:, None]
+        norms = np.linalg.norm(commanded, axis=(1, 2))
+        products = np.einsum("vkn,dkn->vd", seen, commanded)
+        responds = (norms > 0) & (seen_norms >= RESPONSIVE * norms)
+        cosines = np.divide(products, seen_norms * norms, out=np.zeros(products.shape), where=responds)
+        kind, best = np.unravel_index(np.argmax(cosines), cosines.shape)
+        usual = float(np.max(cosines[kind, delays_s <= self._rule.lag_s]))
+        is_late = cosines[kind, best] >= ALIKE and usual <= UNLIKE * cosines[kind, best]
+        return float(delays_s[best]) if is_late else 0.0
 
     def _contradiction(self, view: _View, last: _View, reports: Sequence[UnitReport]) -> str:
         """Return how an image contradicts the commands or the neighbours' images, or an empty string."""
@@ -289,7 +393,7 @@ class CameraCheck:
         due_s = view.time_s - self._rule.lag_s
         must = self._commanded_sides(still.time_s, due_s) >= MOVED_SIDES
         if (must & ~self._idle & view.seen & still.seen).any():
-            return "no robot moves in the image, although robots were sent goals; the camera may be frozen"
+            return "no robot moves in the image, but robots were sent goals; the camera may be frozen or late"
         if any(self._moves_for(report, view, still) for report in reports):
             return "no robot moves in the image, but in another unit's; the camera may be frozen"
         return ""
@@ -348,5 +452,9 @@ class CameraCheck:
         if moves or self._jumps(view, last):
             self._still = view
         elif self._still is not None and view.time_s - self._still.time_s >= STEADY_S:
-            self.reset()
-            self._last = self._still = self._trial = view
+            self._delay_s = self._measured_delay_s()
+            self.suspicion = ""
+            self._still = self._trial = view
+            # Motions of earlier suspicions would fit at a delay of one cycle more.
+            self._samples.clear()
+            self._paces.clear()

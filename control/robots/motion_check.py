@@ -69,7 +69,9 @@ MAX_GAP_S = 1.0
 STANDS = "its marker stands still, although it was told to drive"
 """Fault: far less motion than commanded."""
 
-STRAYS = "its marker moves otherwise than its wheels were told: exchanged, turned or reversed?"
+STRAYS = (
+    "its marker moves otherwise than its wheels were told: exchanged, turned or reversed, or are images late?"
+)
 """Fault: unrelated, reversed, or far more motion than commanded."""
 
 

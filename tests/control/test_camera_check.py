@@ -1,5 +1,6 @@
 """A unit suspects a frozen, late or replayed camera by its own commands, and no other camera."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,11 @@ from skyherd.control import (
     Wheels,
 )
 from skyherd.control.camera_check import (
+    MAX_DELAY_S,
+    MEMORY_S,
     MIN_PACE_SIDES_PS,
+    RECURRING,
+    RECURRING_S,
     STEADY_S,
     STILL_SIDES,
     CameraCheck,
@@ -40,12 +45,13 @@ class Scene:
         noise_sides: standard deviation of detected centres.
         loss: share of lost goals.
         latency_s: time from an image to the effect of its goals.
+        rule: the robots' response to goals.
     """
 
-    def __init__(self, make_detections, rng, *, noise_sides=0.003, loss=0.0, latency_s=0.0):
+    def __init__(self, make_detections, rng, *, noise_sides=0.003, loss=0.0, latency_s=0.0, rule=RULE):
         self.make_detections, self.rng = make_detections, rng
         self.noise_sides, self.loss, self.latency_s = noise_sides, loss, latency_s
-        self.check = CameraCheck(RULE, IDS)
+        self.check = CameraCheck(rule, IDS)
         self.sides = 6 * (rng.normal(size=IDS.size) + 1j * rng.normal(size=IDS.size))
         self.goals = self.sides.copy()
         self.broken = np.zeros(IDS.size, dtype=bool)
@@ -178,6 +184,121 @@ class TestLate:
                 errors.append(np.abs(true_px - shown_px).max() / SIDE_PX)
         assert len(errors) >= 3
         assert max(errors) < 0.2
+
+
+LATCHING = replace(RULE, has_operator=True)
+
+
+class TestRecurring:
+    def scene(self, make_detections, seed=0, *, rule=LATCHING, sides=20.0):
+        """Return a scene whose robots have a long way before them, which does not only scale the shape."""
+        scene = Scene(make_detections, np.random.default_rng(seed), rule=rule)
+        scene.run(1.0)
+        scene.goals = scene.goals + sides * np.exp(2j * np.pi * scene.rng.random(IDS.size))
+        return scene
+
+    def late(self, scene, seconds, delay_s):
+        """Show images of `delay_s` before, but none of the first second; return the suspicions in order."""
+        said = [""]
+        for _ in range(round(seconds / FRAME_S)):
+            shown = scene.images[max(len(scene.images) - round(delay_s / FRAME_S), 9)]
+            suspicion = scene.step(shown=shown)
+            said += [suspicion] if suspicion != said[-1] else []
+        return [one for one in said if one]
+
+    def delays_s(self, said):
+        """Return the delays that suspicions name."""
+        found = [re.search(r"^images are late: .* after about (\S+) s", one) for one in said]
+        return [float(one[1]) for one in found if one]
+
+    @pytest.mark.parametrize("seed", range(3))
+    @pytest.mark.parametrize("delay_s", [1.0, 2.0, 3.0])
+    def test_late_camera_is_latched_and_its_delay_named(self, make_detections, delay_s, seed) -> None:
+        scene = self.scene(make_detections, seed)
+        first, *others = self.late(scene, RECURRING_S, delay_s)
+        assert "images are late" not in first and len(others) == RECURRING - 1 and scene.check.is_latched
+        np.testing.assert_allclose(self.delays_s(others), [delay_s] * len(others), atol=0.4)
+        assert others[-1].endswith("suspected 3 times within 30 s") and "times" not in others[-2]
+
+    def test_latched_camera_moves_no_robot_until_reset(self, make_detections) -> None:
+        scene = self.scene(make_detections)
+        self.late(scene, RECURRING_S, 2.0)
+        places = scene.sides.copy()
+        assert len(scene.run(60.0)) == 600
+        np.testing.assert_array_equal(scene.sides, places)
+        scene.check.reset()
+        assert not scene.run(10.0).size and not scene.check.is_latched
+        np.testing.assert_allclose(scene.sides, scene.goals, atol=0.05)
+
+    def test_late_camera_is_latched_again_after_reset(self, make_detections) -> None:
+        scene = self.scene(make_detections, sides=40.0)
+        self.late(scene, RECURRING_S, 2.0)
+        scene.check.reset()
+        assert len(self.late(scene, RECURRING_S, 2.0)) == RECURRING and scene.check.is_latched
+
+    def test_without_operator_nothing_is_latched(self, make_detections) -> None:
+        scene = self.scene(make_detections, rule=RULE, sides=200.0)
+        said = self.late(scene, 60.0, 1.0)
+        assert len(said) > RECURRING and not scene.check.is_latched
+        assert len(self.delays_s(said)) == len(said) - 1
+        np.testing.assert_allclose(self.delays_s(said), 1.0, atol=0.4)
+
+    def test_delay_near_the_usual_lag_is_not_named(self, make_detections) -> None:
+        scene = self.scene(make_detections, rule=RULE, sides=60.0)
+        said = self.late(scene, 30.0, LAG_S + 0.2)
+        assert said and not self.delays_s(said)
+
+    def test_suspicions_far_apart_are_not_latched(self, make_detections) -> None:
+        scene = self.scene(make_detections)
+        for _ in range(2 * RECURRING):
+            assert scene.run(2.0, shown=scene.images[-1]).size
+            assert not scene.check.is_latched
+            scene.run(RECURRING_S / (RECURRING - 1))
+            scene.goals = scene.goals + 20 * np.exp(2j * np.pi * scene.rng.random(IDS.size))
+        assert not scene.check.suspicion
+
+    @pytest.mark.parametrize("seed", range(6))
+    def test_frozen_camera_is_not_called_late(self, make_detections, seed) -> None:
+        """It is live again after two to four seconds, and freezes again when robots drive."""
+        scene = self.scene(make_detections, seed)
+        for _ in range(RECURRING):
+            scene.run(0.3 + 0.1 * seed)
+            said = {scene.step(shown=scene.images[-1])}
+            frozen = scene.images[-1]
+            said |= {scene.step(shown=frozen) for _ in range(20 + 4 * seed)}
+            scene.run(3.0)
+            scene.goals = scene.goals + 6 * np.exp(1j * IDS)
+            assert not any("images are late" in one for one in said)
+        assert scene.check.is_latched
+
+    def test_delay_of_an_earlier_time_is_not_named(self, make_detections) -> None:
+        scene = self.scene(make_detections)
+        while not scene.check._delay_s:
+            self.late(scene, FRAME_S, 2.0)
+        scene.goals = scene.sides.copy()
+        assert not scene.run(RECURRING_S).size
+        scene.goals = scene.sides + 20.0
+        scene.run(2.0, shown=scene.images[-1])
+        assert "may be frozen" in scene.check.suspicion
+
+    def test_delay_is_named_although_a_robot_is_carried(self, make_detections) -> None:
+        scene = self.scene(make_detections)
+        self.late(scene, 2.0, 2.0)
+        scene.sides[3] += 8.0
+        (delay_s,) = self.delays_s(self.late(scene, 6.0, 2.0))
+        assert delay_s == pytest.approx(2.0, abs=0.4)
+
+    def test_latency_within_the_usual_lag_is_never_suspected(self, make_detections) -> None:
+        scene = self.scene(make_detections)
+        assert not self.late(scene, 40.0, LAG_S - FRAME_S)
+
+    def test_memory_of_images_and_goals_is_bounded(self, make_detections) -> None:
+        scene = self.scene(make_detections, sides=1e3)
+        sizes = []
+        for _ in range(3):
+            scene.run(20.0)
+            sizes.append((len(scene.check._samples), len(scene.check._paces)))
+        assert sizes[1] == sizes[2] and max(sizes[2]) <= (MEMORY_S + MAX_DELAY_S) / FRAME_S + 2
 
 
 class TestReplayed:

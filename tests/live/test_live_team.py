@@ -130,6 +130,57 @@ RIGHT = {robot: robot for robot in range(6)}
 ALL_BUT_2 = {robot: robot for robot in RIGHT if robot != 2}
 
 
+class LateTeam:
+    """A team under a fixed camera whose stream has no clock, from an arm command on.
+
+    Args:
+        faults: the benchmark of faults.
+        delay_s: delay of the images.
+    """
+
+    def __init__(self, faults, delay_s: float) -> None:
+        self.team = faults.Team(fixed_lab(), [], 1)
+        self.team.delay_s = delay_s
+        self.unit = self.team.processes["unit/0"]
+
+    def run(self, seconds: float) -> float:
+        """Return the longest way of a robot in a time, marker sides."""
+        end_s, ways_m = self.team.time_s + seconds, 0.0
+        while self.team.time_s < end_s:
+            before_m = self.team.world.positions_m.copy()
+            self.team.step()
+            ways_m = ways_m + np.linalg.norm(self.team.world.positions_m - before_m, axis=1)
+        return float(np.max(ways_m)) / self.team.lab.model.markers.side_m
+
+
+class TestLateImages:
+    def test_unit_latches_and_names_the_delay(self, faults) -> None:
+        late = LateTeam(faults, 2.0)
+        late.run(15.0)
+        first, second, third = late.unit.told
+        assert "may be frozen" in first
+        assert re.search(r"images are late: they follow the commands after about (1\.[6-9]|2\.\d) s", second)
+        assert "suspected 3 times" in third and "stop the team and arm it again" in third
+        assert late.run(10.0) == 0.0
+
+    def test_stop_and_arm_command_let_the_team_drive_again(self, faults) -> None:
+        late = LateTeam(faults, 2.0)
+        late.run(15.0)
+        late.team.armed_s = late.team.time_s  # without a stop
+        assert late.run(4.0) == 0.0
+        late.team.delay_s = 0.0
+        late.team.stop()
+        assert late.run(1.0) == 0.0
+        late.team.armed_s = late.team.time_s
+        assert late.run(10.0) > 1.0
+        assert late.team.errors[-1] < 0.05 and late.unit.core.trouble == ""
+
+    def test_usual_latency_is_no_fault(self, faults) -> None:
+        late = LateTeam(faults, 0.3)
+        late.run(15.0)
+        assert late.unit.told == [] and late.team.errors[-1] < 0.05
+
+
 class TestMotion:
     """Robots, units, their messages and the lab, from images to wheels."""
 

@@ -6,7 +6,7 @@ a while. The numbers of stops, arm commands and restarts are bounded. The tests 
 
 The first model (`State`) has one robot, one unit and two operators, built from the classes of the live
 processes. Robot and unit may restart without memory. The clocks of its operators are behind all numbers, and
-its checks identify stops by their numbers.
+its checks identify stops by their numbers. At any time the unit may latch a suspicion of its camera.
 
 The second model (`TeamModel`) has one robot, two operators and an optional unit, without restarts. The
 operators have constant clocks that disagree, and run the real `StopCommand` and `ArmCommand`. Every number of
@@ -89,6 +89,9 @@ class State:
     Attributes:
         learnt: the largest stop number that reached the robot and the unit since they started.
         budget: remaining stops, arm commands and restarts.
+        is_suspected: whether the unit's suspicion of its camera is latched.
+        suspected_at: the largest cleared number that the unit knew when it latched it; None if it did not.
+        suspicions: remaining suspicions.
     """
 
     robot: ArmState = FRESH
@@ -99,6 +102,9 @@ class State:
     issued: frozenset[Issued] = frozenset()
     learnt: tuple[int, int] = (0, 0)
     budget: tuple[int, int, int] = (0, 0, 0)
+    is_suspected: bool = False
+    suspected_at: int | None = None
+    suspicions: int = 0
 
     @property
     def session(self) -> Session:
@@ -126,15 +132,18 @@ class Rules:
     def merge(self, known: StopLatch, heard: StopLatch) -> StopLatch:
         return known.merge(heard)
 
-    def sends_goals(self, unit: StopLatch) -> bool:
-        return not unit.stopped
+    def suspects(self, is_suspected: bool, before: StopLatch, after: StopLatch) -> bool:
+        return is_suspected and not after.is_armed_since(before)
+
+    def sends_goals(self, unit: StopLatch, is_suspected: bool) -> bool:
+        return not unit.stopped and not is_suspected
 
 
 def announced(state: State, rules: Rules) -> State:
     """Return the state with all messages in the network that the processes may send."""
     sent = {Message("heartbeat", state.robot.latch, state.session), Message("heartbeat", state.unit)}
     sent |= {Message("heartbeat", latch) for latch in state.operators}
-    if rules.sends_goals(state.unit):
+    if rules.sends_goals(state.unit, state.is_suspected):
         sent.add(Message("goal", state.unit))
     return replace(state, network=state.network | sent)
 
@@ -147,7 +156,8 @@ def successors(state: State, rules: Rules) -> Iterator[State]:
         robot = rules.hear(state.robot, message, state.session)
         yield replace(state, robot=robot, learnt=(robot_learnt, state.learnt[1]))
         unit = rules.merge(state.unit, message.latch)
-        yield replace(state, unit=unit, learnt=(state.learnt[0], unit_learnt))
+        suspects = rules.suspects(state.is_suspected, state.unit, unit)
+        yield replace(state, unit=unit, learnt=(state.learnt[0], unit_learnt), is_suspected=suspects)
         for who in (0, 1):
             heard = rules.merge(state.operators[who], message.latch)
             yield with_operator(state, who, heard)
@@ -177,7 +187,11 @@ def successors(state: State, rules: Rules) -> Iterator[State]:
         robot_learnt, unit_learnt = state.learnt
         start = state.start + 1
         yield replace(state, robot=FRESH, start=start, learnt=(0, unit_learnt), budget=budget)
-        yield replace(state, unit=NO_COMMAND, learnt=(robot_learnt, 0), budget=budget)
+        fresh = {"unit": NO_COMMAND, "is_suspected": False, "suspected_at": None}
+        yield replace(state, learnt=(robot_learnt, 0), budget=budget, **fresh)
+    if state.suspicions:
+        at = state.unit.cleared
+        yield replace(state, is_suspected=True, suspected_at=at, suspicions=state.suspicions - 1)
 
 
 def with_operator(state: State, who: int, latch: StopLatch) -> State:
@@ -202,8 +216,11 @@ def violation(state: State, rules: Rules) -> str | None:
     if drives_against_a_stop(state.robot, robot_learnt):
         return "a robot that learnt of a stop is armed by a command whose sender did not know it"
     cleared = max((arm.known.stop for arm in arms), default=0)
-    if rules.sends_goals(state.unit) and any(cleared < stop <= unit_learnt for stop in stops):
+    sends_goals = rules.sends_goals(state.unit, state.is_suspected)
+    if sends_goals and any(cleared < stop <= unit_learnt for stop in stops):
         return "a unit that learnt of a stop sends goals"
+    if sends_goals and state.suspected_at is not None and cleared_since(state) <= state.suspected_at:
+        return "a unit sends goals although no arm command followed the suspicion of its camera"
     latch = NO_COMMAND
     for message in state.network:
         latch = latch.merge(message.latch)
@@ -214,14 +231,22 @@ def violation(state: State, rules: Rules) -> str | None:
     if any(cleared < stop for stop in stops):
         # No command cleared the newest stop: once all processes have heard of each other, all stand still.
         robot = rules.hear(state.robot, Message("heartbeat", latch), state.session)
-        if robot.armed or rules.sends_goals(rules.merge(state.unit, latch)):
+        if robot.armed or rules.sends_goals(rules.merge(state.unit, latch), state.is_suspected):
             return "a stop that nobody cleared does not hold in the end"
+    suspects = rules.suspects(state.is_suspected, state.unit, rules.merge(state.unit, latch))
+    if suspects and (state.suspected_at is None or latch.cleared > state.suspected_at):
+        return "a new arm command does not end the suspicion of the camera"
     return None
 
 
-def explore(rules: Rules, budget: tuple[int, int, int]) -> tuple[int, str | None]:
+def cleared_since(state: State) -> int:
+    """Return the largest number that an arm command has cleared, by the issued commands."""
+    return max((one.number for one in state.issued if one.kind == "arm"), default=0)
+
+
+def explore(rules: Rules, budget: tuple[int, int, int], suspicions: int = 0) -> tuple[int, str | None]:
     """Visit all reachable states, and return their number and the first violation."""
-    start = announced(State(budget=budget), rules)
+    start = announced(State(budget=budget, suspicions=suspicions), rules)
     seen, waiting = {start}, [start]
     while waiting:
         state = waiting.pop()
@@ -241,6 +266,19 @@ def explore(rules: Rules, budget: tuple[int, int, int]) -> tuple[int, str | None
 def test_stop_holds_under_every_order_of_messages(budget) -> None:
     states, found = explore(Rules(), budget)
     assert found is None and states > 50
+
+
+@pytest.mark.parametrize("budget", [(1, 1, 0), (2, 1, 0), (1, 1, 1)])
+def test_suspicion_of_camera_lasts_until_new_arm_command(budget) -> None:
+    states, found = explore(Rules(), budget, suspicions=1)
+    assert found is None and states > 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("budget", "suspicions"), [((2, 2, 0), 1), ((1, 1, 0), 2)])
+def test_suspicion_of_camera_lasts_under_longer_orders(budget, suspicions) -> None:
+    states, found = explore(Rules(), budget, suspicions)
+    assert found is None and states > 100
 
 
 @pytest.mark.slow
@@ -281,8 +319,8 @@ class StopCarriesNoNumber(Rules):
 class UnitIgnoresStop(Rules):
     """Broken rule: stopped units send goals."""
 
-    def sends_goals(self, unit: StopLatch) -> bool:
-        return True
+    def sends_goals(self, unit: StopLatch, is_suspected: bool) -> bool:
+        return not is_suspected
 
 
 class SessionIgnored(Rules):
@@ -291,6 +329,40 @@ class SessionIgnored(Rules):
     def hear(self, robot: ArmState, message: Message, session: Session) -> ArmState:
         robot = robot.merge(message.latch)
         return replace(robot, armed_at=message.latch.cleared) if message.kind == "arm" else robot
+
+
+class AnyMessageTrusts(Rules):
+    """Broken rule: any message ends the suspicion of the camera."""
+
+    def suspects(self, is_suspected: bool, before: StopLatch, after: StopLatch) -> bool:
+        return False
+
+
+class OldArmTrusts(Rules):
+    """Broken rule: an arm command that the unit knew before ends the suspicion of its camera."""
+
+    def suspects(self, is_suspected: bool, before: StopLatch, after: StopLatch) -> bool:
+        return is_suspected and not (after.cleared and not after.stopped)
+
+
+class NothingTrusts(Rules):
+    """Broken rule: no command ends the suspicion of the camera."""
+
+    def suspects(self, is_suspected: bool, before: StopLatch, after: StopLatch) -> bool:
+        return is_suspected
+
+
+class SuspectingUnitSends(Rules):
+    """Broken rule: a unit that suspects its camera sends goals."""
+
+    def sends_goals(self, unit: StopLatch, is_suspected: bool) -> bool:
+        return not unit.stopped
+
+
+@pytest.mark.parametrize("broken", [AnyMessageTrusts, OldArmTrusts, NothingTrusts, SuspectingUnitSends])
+def test_model_detects_each_broken_rule_of_suspicions(broken) -> None:
+    _, found = explore(broken(), (1, 1, 0), suspicions=1)
+    assert found is not None and "camera" in found
 
 
 @pytest.mark.parametrize(

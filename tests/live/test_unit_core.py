@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from skyherd.control.camera_check import RECURRING, STEADY_S
 from skyherd.live.lab import load_lab
 from skyherd.live.peers import CONFLICT_S
 from skyherd.live.plausible import Roster
@@ -286,6 +287,38 @@ class TestCamera:
     def test_robots_that_stand_show_nothing_about_it(self, make_detections, state, armed) -> None:
         unit = self.scattered(make_detections)
         assert "goals" in sent_kinds(self.watch(unit, 10.0, state=state, armed=armed))
+
+    def latched(self, make_detections) -> OneUnit:
+        """Return a unit whose camera was frozen three times, and is live again."""
+        unit = self.scattered(make_detections)
+        for _ in range(RECURRING):
+            self.watch(unit, 3.0)
+            unit.image = replace(unit.image, centers_px=unit.image.centers_px + 10.0)
+            self.watch(unit, STEADY_S + 2 * FRAME_S)
+        return unit
+
+    def test_recurring_suspicion_lasts_and_says_what_to_do(self, make_detections) -> None:
+        unit = self.latched(make_detections)
+        assert self.watch(unit, 60.0).messages == ()
+        assert unit.core.trouble.endswith(
+            "suspected 3 times within 30 s: repair the camera, then stop the team and arm it again"
+        )
+
+    @pytest.mark.parametrize(
+        "latch", [NO_COMMAND, StopLatch(stop=3), StopLatch(stop=2, cleared=2), StopLatch(stop=3, cleared=2)]
+    )
+    def test_recurring_suspicion_outlasts_old_arm_commands(self, make_detections, latch) -> None:
+        unit = OneUnit(make_detections)
+        unit.hear(latch=StopLatch(stop=2, cleared=2))
+        old, unit = unit.core.latch, self.latched(make_detections)
+        unit.core.latch = old
+        unit.hear(latch=latch)
+        assert self.watch(unit, 5.0).messages == () and "suspected 3 times" in unit.core.trouble
+
+    def test_recurring_suspicion_ends_with_new_arm_command(self, make_detections) -> None:
+        unit = self.latched(make_detections)
+        unit.hear(latch=StopLatch(stop=3, cleared=3))
+        assert "goals" in sent_kinds(unit.see()) and unit.core.trouble == ""
 
     def test_new_arm_command_ends_the_suspicion(self, make_detections) -> None:
         unit = self.scattered(make_detections)

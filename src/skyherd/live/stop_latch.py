@@ -62,6 +62,10 @@ class StopLatch:
         """Return the maximum of each number of two latches."""
         return StopLatch(max(self.stop, other.stop), max(self.cleared, other.cleared))
 
+    def is_armed_since(self, before: "StopLatch") -> bool:
+        """Return whether an arm command has cleared a newer stop than those cleared in an earlier latch."""
+        return self.cleared > before.cleared
+
     def with_stop(self, time_s: float, tag: int) -> "StopLatch":
         """Return the latch after a new stop.
 

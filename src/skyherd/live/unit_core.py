@@ -5,7 +5,8 @@ the units' reports, so that slots and turns agree between units whose clocks dif
 the time of the image on the unit's own clock, which each robot compares with its clock. A live unit ignores
 reports with untrusted times, and stale images. While a stop is in force it sends no goals, and hovers if it
 flies. While it suspects its camera (`skyherd.control.camera_check`) it sends only heartbeats. Robots count
-there only while their heartbeats say that they drive.
+there only while their heartbeats say that they drive. A suspicion that recurs is latched, until the unit
+receives an arm command that clears a newer stop than all that were cleared before.
 """
 
 import math
@@ -24,6 +25,9 @@ from skyherd.messages import Detections, FlightCommand, Sighting, UnitReport
 
 HEARTBEAT_LIFE_S = 1.0
 """Time for which a robot's heartbeat shows that it drives, s. Chosen: four heartbeats."""
+
+CLEAR_CAMERA = ": repair the camera, then stop the team and arm it again"
+"""End of the reason why a unit sends nothing while a suspicion of its camera is latched."""
 
 
 @dataclass(frozen=True)
@@ -90,9 +94,9 @@ class UnitCore:
         return "" if self._heard_since_woken else "no heartbeat since the process started or woke up"
 
     def receive(self, envelope: Envelope, now_s: float) -> None:
-        """Process a message that arrives now. An arm command ends a suspicion of the camera."""
-        cleared, self.latch = self.latch.cleared, self.latch.merge(envelope.latch)
-        if self.latch.cleared > cleared and self._controller.camera_check is not None:
+        """Process a message that arrives now. A new arm command after a stop ends suspicion of the camera."""
+        before, self.latch = self.latch, self.latch.merge(envelope.latch)
+        if self.latch.is_armed_since(before) and self._controller.camera_check is not None:
             self._controller.camera_check.reset()
         if envelope.sender == self.name:
             self._namesake_s = now_s
@@ -147,7 +151,9 @@ class UnitCore:
         if self.withheld(now_s):
             decision = replace(decision, flight=FlightCommand.hold(self.unit_id))
         if decision.suspicion:
-            self.trouble = decision.suspicion
+            check = self._controller.camera_check
+            is_latched = check is not None and check.is_latched
+            self.trouble = decision.suspicion + CLEAR_CAMERA * is_latched
             return UnitNews(decision, ())
         single = detections.unambiguous()
         sighting = Sighting(

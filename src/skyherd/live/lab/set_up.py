@@ -227,6 +227,7 @@ class Lab:
             + self.model.control.delay_s
             + limits.max_speed_mps / accel_mps2 / 2,
             avoidance=self.make_avoidance(),
+            has_operator=True,
         )
 
     def make_law(self) -> MarkerGains:

@@ -4,7 +4,7 @@ A camera may freeze, lag or replay old images while its time stamps stay fresh. 
 robots by places that they have left. It knows its own commands, the robots' law and their top speed. An image
 in which nothing moves although robots must, or in which most robots jump, contradicts them.
 
-The check has two states:
+The check has three states:
 
 - *Trusted*: the unit sends goals, bodies and reports. It suspects the camera if a robot that must have moved
   by `MOVED_SIDES` is within `STILL_SIDES`, with the whole image. It also does so if a neighbour's images show
@@ -17,23 +17,24 @@ The check has two states:
 A suspected unit sends no goals, so that its own robots stop. A delayed camera shows that only after its
 delay. The unit therefore trusts it only when its images are up to date again. Such a camera is suspected
 again and again, since its robots stand in its images while they drive. When the check trusts a camera again,
-it compares the motion in the last images with the commanded motion of earlier times. If both agree only at a
-delay, the next suspicion names it. docs/bodies.md lists the faults that cannot be detected.
+it compares the motion in the last images with the commanded motion of earlier times (`image_delay`). If both
+agree only at a delay, the next suspicion names it. docs/bodies.md lists the faults that cannot be detected.
 """
 
 from collections import deque
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
 from skyherd.control.avoidance.speed_bound import AvoidanceRule
 from skyherd.control.formation.similarity import fit_similarity
+from skyherd.control.image_delay import MAX_DELAY_S, MEMORY_S, RESPONSIVE, SAMPLE_S, measured_delay_s
 from skyherd.control.robots.unicycle import RobotLaw
+from skyherd.control.team_view import TeamView
 from skyherd.errors import DegenerateSetError
-from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, median, to_complex
+from skyherd.geometry import Array, BoolArray, IntArray, median, to_complex
 from skyherd.messages import Detections, MotionGoals, Proximity, UnitReport, among, find_rows
 from skyherd.messages.checks import check_numbers
 
@@ -76,36 +77,10 @@ TRIAL_S = 1.0
 """Time, beyond the lag, in which a robot is judged by its response, s. Chosen: it moves by 0.2 sides at
 `MIN_PACE_SIDES_PS`."""
 
-RESPONSIVE = 0.2
-"""Share of the commanded motion below which a robot does not respond. Derived: the quotient of `STILL_SIDES`
-and `MOVED_SIDES`."""
-
 RECURRING, RECURRING_S = 3, 30.0
 """Number of suspicions within a time, s, of which a unit with an operator latches the last. Chosen: measured,
 a camera late by 1 s is suspected every 3.3 s, and one late by 3 s every 5.4 s. A single outage of a stream
 causes one suspicion."""
-
-SAMPLE_S = 0.2
-"""Minimum time between the images in which a delay is measured, s. Chosen: a robot at `MIN_PACE_SIDES_PS`
-moves by ten times the noise of a centre meanwhile."""
-
-MEMORY_S = 10.0
-"""Maximum time of the images in which a delay is measured, s. Chosen: twice the time between two suspicions
-of a camera late by 3 s."""
-
-MAX_DELAY_S = 5.0
-"""Largest delay that is measured, s. Chosen: above the buffers of encoders and networks."""
-
-DELAY_STEP_S = 0.1
-"""Step of the delays that are compared, s. Chosen: below the error of 0.3 s from unknown lags of robots."""
-
-ALIKE = 0.7
-"""Minimum cosine between the motion in the images and the commanded one for a delay. Measured: at least 0.87
-in the lab `table` for cameras late by 1 to 3 s, and usually 0.8 in `triangle`, whose unit flies."""
-
-UNLIKE = 0.9
-"""Maximum cosine at the usual lags, relative to that at a delay. Measured: at most 0.65 for cameras late by
-1.5 s or more, 0.93 for those late by 1 s, and 1.0 for those late by 0.7 s or frozen."""
 
 
 @dataclass(frozen=True)
@@ -160,53 +135,6 @@ class CameraRule:
         return allowed
 
 
-@dataclass(frozen=True)
-class _View:
-    """Places of the team in one image.
-
-    Attributes:
-        time_s: time of the image.
-        points_px: (N,) places, `u + iv`; 0 if not seen.
-        seen: (N,) mask of the robots seen.
-        side_px: median side of the markers, px.
-    """
-
-    time_s: float
-    points_px: ComplexArray
-    seen: BoolArray
-    side_px: float
-
-    def moved_sides(self, before: "_View") -> Array:
-        """Return the motion (N,) in the image since another one, marker sides; 0 if not seen in both."""
-        both = self.seen & before.seen
-        return np.where(both, np.abs(self.points_px - before.points_px), 0.0) / self.side_px
-
-    def relative_sides(self, before: "_View", use: BoolArray) -> Array:
-        """Return the motion (N,), marker sides, of the robots in `use` relative to each other; else 0.
-
-        The motion of the camera is removed as a similarity, fitted again without the quarter of the robots
-        that deviate most. Up to two robots are compared in the image itself.
-        """
-        moved = np.zeros(self.seen.size)
-        both = np.flatnonzero(self.seen & before.seen & use)
-        source, target = before.points_px[both], self.points_px[both]
-        if both.size <= 2:
-            moved[both] = np.abs(target - source)
-        else:
-            residuals = _residuals(source, target, slice(None))
-            keep = residuals <= np.sort(residuals)[-1 - both.size // 4]
-            moved[both] = _residuals(source, target, keep)
-        return np.asarray(moved / self.side_px)
-
-
-def _residuals(source: ComplexArray, target: ComplexArray, keep: BoolArray | slice) -> Array:
-    """Return distances (N,) of targets (N,) from sources (N,) under the similarity of those in `keep`."""
-    try:
-        return np.abs(target - fit_similarity(source[keep], target[keep])(source))
-    except DegenerateSetError:
-        return np.abs(target - source)
-
-
 class CameraCheck:
     """Monitor of one unit's images; one instance per unit.
 
@@ -221,9 +149,9 @@ class CameraCheck:
 
     def __init__(self, rule: CameraRule, ids: IntArray) -> None:
         self._rule, self._ids = rule, ids
-        self._others: dict[int, _View] = {}
+        self._others: dict[int, TeamView] = {}
         self._paces: deque[tuple[float, Array]] = deque()
-        self._samples: deque[_View] = deque()
+        self._samples: deque[TeamView] = deque()
         self._suspected_s: deque[float] = deque()
         self._idle = np.zeros(ids.size, dtype=bool)
         self.reset()
@@ -231,10 +159,10 @@ class CameraCheck:
     def reset(self) -> None:
         """Trust the camera, as at the start."""
         self.suspicion, self.is_latched = "", False
-        self._last: _View | None = None
-        self._still: _View | None = None
-        self._trial: _View | None = None
-        self._frozen: _View | None = None
+        self._last: TeamView | None = None
+        self._still: TeamView | None = None
+        self._trial: TeamView | None = None
+        self._frozen: TeamView | None = None
         self._delay_s = 0.0
         self._paces.clear()
         self._samples.clear()
@@ -265,7 +193,7 @@ class CameraCheck:
             self._suspect(contradiction, view)
         return self.suspicion
 
-    def _suspect(self, contradiction: str, view: _View) -> None:
+    def _suspect(self, contradiction: str, view: TeamView) -> None:
         """Suspect the camera from this image on, and latch the suspicion if it recurs."""
         self._frozen = view
         self._suspected_s.append(view.time_s)
@@ -318,7 +246,7 @@ class CameraCheck:
         while len(self._paces) > 1 and self._paces[1][0] <= min(starts_s):
             self._paces.popleft()
 
-    def _keep(self, view: _View) -> None:
+    def _keep(self, view: TeamView) -> None:
         """Keep an image for the measurement of a delay, unless it follows the last one too soon."""
         if self._samples and view.time_s - self._samples[-1].time_s < SAMPLE_S:
             return
@@ -326,7 +254,7 @@ class CameraCheck:
         while view.time_s - self._samples[0].time_s > MEMORY_S:
             self._samples.popleft()
 
-    def _view(self, detections: Detections) -> _View | None:
+    def _view(self, detections: Detections) -> TeamView | None:
         """Return the places of the team in an image; None without robots."""
         rows, known = find_rows(self._ids, detections.ids)
         known &= ~detections.repeated
@@ -335,7 +263,7 @@ class CameraCheck:
         points_px, seen = np.zeros(self._ids.size, dtype=np.complex128), np.zeros(self._ids.size, dtype=bool)
         points_px[rows[known]] = to_complex(detections.centers_px[known])
         seen[rows[known]] = True
-        return _View(detections.time_s, points_px, seen, median(detections.sides_px[known]))
+        return TeamView(detections.time_s, points_px, seen, median(detections.sides_px[known]))
 
     def _shared(self, reports: Sequence[UnitReport]) -> BoolArray:
         """Return the mask (N,) of the robots that other units control."""
@@ -350,37 +278,7 @@ class CameraCheck:
         paces = np.array([paces for _, paces in self._paces]).reshape(times_s.size, self._ids.size)
         return np.asarray(spans_s @ paces)
 
-    def _measured_delay_s(self) -> float:
-        """Return the delay at which the motion in the last images follows the commands, s; 0 for none.
-
-        With the motions o in the images and the commanded motions c(d) of d seconds before, of all robots in
-        all intervals between images, it is the d of the largest cosine o · c(d) / |o| |c(d)|. It is 0 unless
-        that is at least `ALIKE`, and all cosines within the longest lag of the loop are below it (`UNLIKE`).
-        Motions count in the image, as of a camera at rest, or relative to the other robots, as of one that
-        flies, whichever agree better. They count up to the top speed: a camera that was frozen shows a jump.
-        """
-        if len(self._samples) < 2:
-            return 0.0
-        everyone = np.ones(self._ids.size, dtype=bool)
-        moved = [view.moved_sides(last) for last, view in pairwise(self._samples)]
-        relative = [view.relative_sides(last, everyone) for last, view in pairwise(self._samples)]
-        times_s = np.array([view.time_s for view in self._samples])
-        reach_sides = self._rule.max_speed_mps / self._rule.side_m * np.diff(times_s)[:, None]
-        seen = np.minimum([moved, relative], reach_sides)
-        delays_s = np.arange(0.0, MAX_DELAY_S + DELAY_STEP_S / 2, DELAY_STEP_S)
-        ends_s = times_s - delays_s[:, None]
-        commanded = self._commanded_sides(ends_s[:, :-1], ends_s[:, 1:])
-        seen_norms = np.linalg.norm(seen, axis=(1, 2))[:, None]
-        norms = np.linalg.norm(commanded, axis=(1, 2))
-        products = np.einsum("vkn,dkn->vd", seen, commanded)
-        responds = (norms > 0) & (seen_norms >= RESPONSIVE * norms)
-        cosines = np.divide(products, seen_norms * norms, out=np.zeros(products.shape), where=responds)
-        kind, best = np.unravel_index(np.argmax(cosines), cosines.shape)
-        usual = float(np.max(cosines[kind, delays_s <= self._rule.lag_s]))
-        is_late = cosines[kind, best] >= ALIKE and usual <= UNLIKE * cosines[kind, best]
-        return float(delays_s[best]) if is_late else 0.0
-
-    def _contradiction(self, view: _View, last: _View, reports: Sequence[UnitReport]) -> str:
+    def _contradiction(self, view: TeamView, last: TeamView, reports: Sequence[UnitReport]) -> str:
         """Return how an image contradicts the commands or the neighbours' images, or an empty string."""
         still, trial = self._still or view, self._trial or view
         if self._jumps(view, last):
@@ -398,7 +296,7 @@ class CameraCheck:
             return "no robot moves in the image, but in another unit's; the camera may be frozen"
         return ""
 
-    def _jumps(self, view: _View, last: _View) -> bool:
+    def _jumps(self, view: TeamView, last: TeamView) -> bool:
         """Return whether most robots moved further between two images than they can drive."""
         both = view.seen & last.seen
         if np.count_nonzero(both) < MIN_JUMPERS:
@@ -407,7 +305,7 @@ class CameraCheck:
         jumps = view.relative_sides(last, both)[both] > reach
         return bool(np.mean(jumps) >= JUMPING)
 
-    def _judge_robots(self, view: _View, trial: _View) -> None:
+    def _judge_robots(self, view: TeamView, trial: TeamView) -> None:
         """Find the robots that do not respond to goals, in images that show motion."""
         if view.time_s - trial.time_s < TRIAL_S + self._rule.lag_s:
             return
@@ -417,7 +315,7 @@ class CameraCheck:
         self._idle[tried] = moved[tried] < RESPONSIVE * commanded[tried]
         self._trial = view
 
-    def _moves_for(self, report: UnitReport, view: _View, still: _View) -> bool:
+    def _moves_for(self, report: UnitReport, view: TeamView, still: TeamView) -> bool:
         """Return whether another unit saw robots of this image move relative to each other while it stood."""
         theirs = self._reported(report)
         first = self._others.setdefault(report.unit_id, theirs)
@@ -434,14 +332,14 @@ class CameraCheck:
         moved = np.sort(theirs.relative_sides(first, common)) * scale / view.side_px
         return bool(moved[-2] >= MOVED_SIDES)
 
-    def _reported(self, report: UnitReport) -> _View:
+    def _reported(self, report: UnitReport) -> TeamView:
         """Return the places of a report, with lengths in pixels."""
         points_px, seen = np.zeros(self._ids.size, dtype=np.complex128), np.zeros(self._ids.size, dtype=bool)
         rows, known = find_rows(self._ids, report.ids)
         points_px[rows[known]], seen[rows[known]] = to_complex(report.points_px)[known], True
-        return _View(report.time_s, points_px, seen, 1.0)
+        return TeamView(report.time_s, points_px, seen, 1.0)
 
-    def _look_again(self, view: _View, last: _View, reports: Sequence[UnitReport]) -> None:
+    def _look_again(self, view: TeamView, last: TeamView, reports: Sequence[UnitReport]) -> None:
         """Trust the camera again once its image has changed and its own robots have stood still since."""
         if self._frozen is not None:
             if not (view.moved_sides(self._frozen) > STILL_SIDES).any():
@@ -452,7 +350,8 @@ class CameraCheck:
         if moves or self._jumps(view, last):
             self._still = view
         elif self._still is not None and view.time_s - self._still.time_s >= STEADY_S:
-            self._delay_s = self._measured_delay_s()
+            reach = self._rule.max_speed_mps / self._rule.side_m
+            self._delay_s = measured_delay_s(self._samples, self._commanded_sides, reach, self._rule.lag_s)
             self.suspicion = ""
             self._still = self._trial = view
             # Motions of earlier suspicions would fit at a delay of one cycle more.

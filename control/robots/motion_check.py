@@ -49,7 +49,7 @@ minutes."""
 
 RESPONSE = 0.2
 """Smallest ratio of the lesser of both motions to the greater one. Chosen: as for a unit's check of its
-camera (`skyherd.control.camera_check.RESPONSIVE`)."""
+camera (`skyherd.control.image_delay.RESPONSIVE`)."""
 
 ALIKE = 0.5
 """Smallest cosine between both motions. Chosen: half-way between 0 of unrelated and 1 of equal motions."""

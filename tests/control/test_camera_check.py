@@ -18,8 +18,6 @@ from skyherd.control import (
     Wheels,
 )
 from skyherd.control.camera_check import (
-    MAX_DELAY_S,
-    MEMORY_S,
     MIN_PACE_SIDES_PS,
     RECURRING,
     RECURRING_S,
@@ -27,6 +25,7 @@ from skyherd.control.camera_check import (
     STILL_SIDES,
     CameraCheck,
 )
+from skyherd.control.image_delay import MAX_DELAY_S, MEMORY_S
 from skyherd.messages import MotionGoals, Proximity
 
 pytestmark = pytest.mark.smoke

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, IntArray, to_complex, to_points
+from skyherd.geometry import Array, BoolArray, IntArray, to_complex
 from skyherd.markers.dictionary import card_side, cells_per_side, code_distance, sides_of_corners
 from skyherd.messages import Detections
 from skyherd.vision.diagnosis.reading import (
@@ -277,7 +277,7 @@ def _read(
     corners_px, ids, odds = decoded.corners_px.copy(), decoded.ids.copy(), no_odds(4 * decoded.ids)
     fitted = np.flatnonzero(rows < fits.ids.size)
     fits, numbers = fits.take(rows[fitted]), np.full(max([*rows, *weighed.rows], default=-1) + 1, -1)
-    fitted_px = to_points(fits.homographies.images(SQUARE_CORNERS))
+    fitted_px = fits.corners_px
     moved_px = np.linalg.norm((fitted_px - corners_px[fitted]).mean(axis=1), axis=1)
     near = moved_px < MAX_MOVED_SIDES * sides_of_corners(corners_px[fitted])
     numbers[weighed.rows] = np.arange(weighed.rows.size)

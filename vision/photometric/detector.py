@@ -36,7 +36,8 @@ from skyherd.vision.photometric.fitting.local_homography import LocalHomographie
 from skyherd.vision.photometric.fitting.plane import MIN_MARKERS_ON_PLANE, Plane
 from skyherd.vision.photometric.following import fit_predicted, follow
 from skyherd.vision.photometric.image_noise import image_noise
-from skyherd.vision.photometric.measure import are_likely, measure_candidates
+from skyherd.vision.photometric.likely import are_likely
+from skyherd.vision.photometric.measure import measure_candidates
 from skyherd.vision.photometric.refine import with_usual_blur
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.photometric.verify import verified
@@ -321,7 +322,7 @@ def _detections(
         centers_px=to_points(found.homographies.centers),
         headings_rad=found.homographies.headings_rad(),
         sides_px=found.homographies.sides_px(),
-        corners_px=to_points(found.homographies.images(SQUARE_CORNERS)),
+        corners_px=found.corners_px,
         covariances=scales[:, :, None] * found.covariances * scales[:, None, :],
         qualities=found.qualities,
     )

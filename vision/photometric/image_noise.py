@@ -1,6 +1,7 @@
 """The noise of an image, from the image alone."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,3 +33,18 @@ def image_noise(image: Image) -> float:
         return ROUNDING_NOISE
     median = float(np.searchsorted(ends, [(count - 1) // 2, count // 2], side="right").mean())
     return max(median / (MEDIAN_PER_SIGMA * 6**0.5), ROUNDING_NOISE)
+
+
+@dataclass(frozen=True)
+class Noises:
+    """Standard deviations of a pixel, grey levels.
+
+    Attributes:
+        image: of the image, from its pixels' differences.
+        verified: left by verified fits in the median, at least that of the image.
+        clear: the same of verified fits without outliers.
+    """
+
+    image: float
+    verified: float
+    clear: float

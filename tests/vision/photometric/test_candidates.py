@@ -24,7 +24,8 @@ from skyherd.vision.photometric.candidates import (
 )
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
-from skyherd.vision.photometric.measure import are_likely, measure_candidates
+from skyherd.vision.photometric.likely import are_likely
+from skyherd.vision.photometric.measure import measure_candidates
 from skyherd.vision.photometric.refine import START_SIGMA_PX
 from skyherd.vision.photometric.state import CameraState
 from skyherd.vision.search.decode import MIN_CORRELATION, decode_quads

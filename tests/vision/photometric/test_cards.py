@@ -9,7 +9,7 @@ from tests.helpers.plates import corners_px, rough, without_cards
 from skyherd.geometry import to_points
 from skyherd.messages import Quality
 from skyherd.vision import DeferringDetector, PhotometricDetector
-from skyherd.vision.photometric import cards, measure
+from skyherd.vision.photometric import cards, likely, measure
 from skyherd.vision.photometric.fitting.fit import fit_markers
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
@@ -133,7 +133,7 @@ def test_covariances_on_rough_ground_match_the_errors(errors_of, dictionary, fol
 def test_fit_to_card_on_plate_has_biased_sides(scene, monkeypatch, level):
     """Negative control of the tests above: without fits to ground."""
     monkeypatch.setattr(measure, "refit_without_cards", lambda *given: (given[2], given[4]))
-    monkeypatch.setattr(measure, "MAX_OUTLINE_RATIO", 0.0)
+    monkeypatch.setattr(likely, "MAX_OUTLINE_RATIO", 0.0)
     image, matrices, _ = scene("APRILTAG_36h11", level, 0)
     found = PhotometricDetector("APRILTAG_36h11", following=False).detect(image)
     true_px = np.sqrt(np.linalg.det(matrices[np.searchsorted(IDS, found.ids), :2, :2]))

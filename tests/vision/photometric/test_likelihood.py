@@ -25,7 +25,7 @@ from skyherd.vision.photometric.evidence.readings import (
     cell_edges,
     exposed,
 )
-from skyherd.vision.photometric.measure import _weighed
+from skyherd.vision.photometric.likely import weigh
 from skyherd.vision.search.decode import blurred_codes
 from skyherd.vision.search.edges import fit_edges
 
@@ -166,7 +166,7 @@ def test_bits_within_a_wider_black_border_are_refused(marker) -> None:
     grey = noisy(card(cells, white_cells=0.0, ground=64.0), 2)
     assert marker_odds(bare, corners(8), dictionary).log_odds[0] > min_log_odds(dictionary)
     bare_odds, *others = (
-        _weighed(image, dictionary, fit_edges(image, corners(8), 8), corners(8)).log_odds[0]
+        weigh(image, dictionary, fit_edges(image, corners(8), 8), corners(8)).log_odds[0]
         for image in (bare, narrow, grey)
     )
     assert bare_odds == -np.inf

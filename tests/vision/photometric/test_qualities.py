@@ -6,7 +6,7 @@ import pytest
 
 from skyherd.messages import Quality
 from skyherd.vision import PhotometricDetector
-from skyherd.vision.photometric import measure
+from skyherd.vision.photometric import likely
 from skyherd.vision.photometric.evidence import likelihood
 from skyherd.vision.photometric.evidence.likelihood import min_log_odds, min_robust_log_odds
 
@@ -78,14 +78,14 @@ def test_doubtful_markers_need_pixels_that_agree(place_markers, draw_markers, mo
     assert sure.keys() < found.keys() and len(found) >= len(sure) + 5
     assert {found[one] for one in found.keys() - sure.keys()} == {Quality.ROBUST}
     monkeypatch.undo()
-    monkeypatch.setattr(measure, "MAX_UNEXPLAINED_SHARE", -1.0)
+    monkeypatch.setattr(likely, "MAX_UNEXPLAINED_SHARE", -1.0)
     assert found_under_glare(place_markers, draw_markers).keys() == sure.keys()
 
 
 def test_fits_that_agree_with_the_edges_count(place_markers, draw_markers, monkeypatch):
     """If fits had to explain the readings better than the edges, fewer would be robust and fewer found."""
     found = found_under_glare(place_markers, draw_markers)
-    monkeypatch.setattr(measure, "MAX_LOG_LOSS", 0.0)
+    monkeypatch.setattr(likely, "MAX_LOG_LOSS", 0.0)
     better = found_under_glare(place_markers, draw_markers)
     assert better.keys() < found.keys() and len(found) >= len(better) + 2
 

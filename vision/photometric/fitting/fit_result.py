@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from skyherd.geometry import Array, IntArray
+from skyherd.geometry import SQUARE_CORNERS, Array, BoolArray, IntArray, to_points
 from skyherd.markers.dictionary import cells_per_side
 from skyherd.messages import Quality
 from skyherd.vision.native.records import FIT
@@ -64,6 +64,11 @@ class FitResults(RowRecord):
     surroundings: Surroundings
     besides: Array
     log_odds: Array
+
+    @property
+    def corners_px(self) -> Array:
+        """Corners (N, 4, 2) of the fitted markers, px."""
+        return to_points(self.homographies.images(SQUARE_CORNERS))
 
     @classmethod
     def of_records(
@@ -139,3 +144,12 @@ def no_fit_results(dictionary: str) -> FitResults:
         log_odds=empty,
         **scalars,
     )
+
+
+def replaced(
+    fits: FitResults, good: BoolArray, rows: IntArray, others: FitResults
+) -> tuple[FitResults, BoolArray]:
+    """Return fits with those at indices `rows` replaced, which are then good."""
+    good = good.copy()
+    good[rows] = True
+    return fits.put(rows, others), good

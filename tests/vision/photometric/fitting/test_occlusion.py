@@ -180,7 +180,7 @@ def test_outliers_along_all_edges_cover_nothing(place_markers, draw_markers):
 
 def test_what_is_not_covered_is_not_fitted_twice(monkeypatch):
     image, _ = scene(3, [], 0.1)
-    monkeypatch.setattr("skyherd.vision.photometric.measure.fit_visible_all_sizes", None)
+    monkeypatch.setattr("skyherd.vision.photometric.covered.fit_visible_all_sizes", None)
     assert PhotometricDetector(DICTIONARY).detect(image).ids.size == IDS.size
 
 

@@ -55,11 +55,11 @@ MIN_LOG_ODDS, MAX_DOUBT = 9.0, 0.27
 """A candidate is accepted from the first log odds on. Where a dictionary has too few bits for that, it may
 fall short of the most that an image can show by the second. Measured: `benchmarks/clutter.py`."""
 
-MIN_ROBUST_LOG_ODDS = 6.0
-"""A candidate whose pixels agree on a pose, by a robust fit, is accepted from these log odds on: 400 to 1.
-Three bits of 4X4_50 may be unreadable then. Chosen with other seeds than those of the tables
-(`docs/conditions.md`): of 48 markers under small glare 43 are found, with 7 instead 31. Six of 32,000 shapes
-of clutter are false positives, with 7 instead four, and with 5 eleven."""
+MIN_ROBUST_LOG_ODDS = 6.4
+"""A candidate whose pixels agree on a pose, by a robust fit, is accepted from these log odds on: 600 to 1.
+Three bits of 4X4_50 may be unreadable then, which leave 6.44. Chosen with other seeds than those of the
+tables (`docs/conditions.md`): of 48 markers under small glare 34 are found, with 7 instead 31, and with 6
+instead 43. Five of 32,000 shapes of clutter are false positives, with 7 instead four, and with 6 six."""
 
 CANDIDATES_AT_ONCE = 128
 """Candidates whose readings and patterns are in memory together. Chosen: they take 10 MB, however many

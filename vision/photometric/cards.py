@@ -8,8 +8,8 @@ are fitted along, since they show the plane.
 Two kinds of markers are fitted to ground, both of which are accepted without it:
 
 - Verified markers with darker pixels beside them, by `MIN_DARKENING` and more than chance. The fit to ground
-  is preferred if it explains the image down to its noise and lowers the chi-squared by `SIGNIFICANT`, which
-  chance does once in 22,000 times, or if it halves the residual.
+  is preferred if it halves the residual. It also is if it explains the image down to its noise and lowers the
+  chi-squared by `SIGNIFICANT`, which chance does once in 22,000 times.
 - Likely markers (step 5 of `measure`) whose outline is weaker than their contrast. The fit to ground is
   preferred if it is verified and has found a level that agrees with the outline.
 

@@ -40,6 +40,7 @@ from skyherd.vision.photometric.likely import are_likely
 from skyherd.vision.photometric.measure import measure_candidates
 from skyherd.vision.photometric.refine import with_usual_blur
 from skyherd.vision.photometric.state import CameraState
+from skyherd.vision.photometric.tracks import ShownMarkers
 from skyherd.vision.photometric.verify import verified
 from skyherd.vision.search.crossed import find_crossed_quads
 from skyherd.vision.search.faint import find_faint_quads
@@ -291,9 +292,8 @@ class DeferringDetector(PhotometricDetector):
         found, state = searched.found, replace(state, plane=searched.plane)
         if found.ids.size:
             last_s = state.tracks.times_s.max(initial=0.0)
-            seen = found.ids, found.homographies, with_usual_blur(found), found.surroundings
-            tracks = state.tracks.with_others(last_s, *seen)
-            state = replace(state, tracks=tracks)
+            shown = ShownMarkers(found.ids, found.homographies, with_usual_blur(found), found.surroundings)
+            state = replace(state, tracks=state.tracks.with_others(last_s, shown))
         is_last = part == PARTS - 1
         self.states[unit_id] = replace(
             state, parts=0 if is_last else part + 1, unsearched=0 if is_last else state.unsearched

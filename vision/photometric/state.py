@@ -9,7 +9,7 @@ from skyherd.vision.photometric.fitting.correlated_noise import PooledRatios
 from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.refine import usual_sigma_px, with_usual_blur
-from skyherd.vision.photometric.tracks import Tracks, no_tracks
+from skyherd.vision.photometric.tracks import ShownMarkers, Tracks, no_tracks
 
 LEARNING_RATE = 0.2
 """Share by which blur, noise and print move towards the estimates of a new image. Chosen: an average over
@@ -71,8 +71,8 @@ class CameraState:
             )
             sigmas_px = with_usual_blur(found, usual_px)
             sigmas_px = np.where(sigmas_px == usual_px, sigma_px, sigmas_px)
-        seen = found.ids, found.homographies, sigmas_px, found.surroundings
-        return replace(state, tracks=self.tracks.updated(time_s, *seen))
+        shown = ShownMarkers(found.ids, found.homographies, sigmas_px, found.surroundings)
+        return replace(state, tracks=self.tracks.updated(time_s, shown))
 
 
 def _moved_towards(value: float, before: float | None) -> float:

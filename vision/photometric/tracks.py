@@ -123,20 +123,14 @@ class Tracks(RowRecord):
             perspectives=self.homographies.perspectives,
         )
 
-    def updated(
-        self,
-        time_s: float,
-        ids: IntArray,
-        homographies: LocalHomographies,
-        sigmas_px: Array,
-        surroundings: Surroundings,
-    ) -> "Tracks":
-        """Return the tracks after an image at `time_s` that shows markers `ids` (N,) at `homographies`.
+    def updated(self, time_s: float, shown: "ShownMarkers") -> "Tracks":
+        """Return the tracks after an image at `time_s` that shows markers (N,).
 
         Markers that were followed before get a velocity, unless they are farther from where they were
         predicted than they would be searched for: that is another place, or another camera. Markers that are
-        not among `ids` are kept for `MAX_MISSED` images. Ids ascend.
+        not shown are kept for `MAX_MISSED` images. Ids ascend.
         """
+        ids, homographies = shown.ids, shown.homographies
         now, before = np.nonzero(ids[:, None] == self.ids)
         velocities, rates = np.zeros((2, ids.size), dtype=complex)
         on_arc = np.ones(ids.size, dtype=bool)
@@ -148,28 +142,19 @@ class Tracks(RowRecord):
         turned = last.velocities * last._turns(elapsed_s)
         on_arc[now] = np.abs(velocities[now] - turned) <= np.abs(velocities[now] - last.velocities)
         times_s, missed = np.full(ids.size, time_s), np.zeros(ids.size, dtype=np.int64)
-        seen = Tracks(ids, times_s, homographies, velocities, rates, on_arc, sigmas_px, surroundings, missed)
+        motion = velocities, rates, on_arc
+        seen = Tracks(ids, times_s, homographies, *motion, shown.sigmas_px, shown.surroundings, missed)
         missing = self.take(~np.isin(self.ids, ids) & (self.missed < MAX_MISSED))
         return seen._with(replace(missing, missed=missing.missed + 1))
 
-    def with_others(
-        self,
-        time_s: float,
-        ids: IntArray,
-        homographies: LocalHomographies,
-        sigmas_px: Array,
-        surroundings: Surroundings,
-    ) -> "Tracks":
-        """Return the tracks if the last image, at `time_s`, shows markers `ids` (N,) at `homographies`, too.
+    def with_others(self, time_s: float, shown: "ShownMarkers") -> "Tracks":
+        """Return the tracks if the last image, at `time_s`, shows other markers (N,), too.
 
         They are taken to stand still. An id at two places is not followed any more. Ids ascend.
         """
-        is_once = (ids[:, None] == ids).sum(axis=1) == 1
-        once = np.flatnonzero(is_once & ~np.isin(ids, self.seen.ids))
-        others = no_tracks().updated(
-            time_s, ids[once], homographies.take(once), sigmas_px[once], surroundings.take(once)
-        )
-        return self.take(~np.isin(self.ids, ids))._with(others)
+        is_once = (shown.ids[:, None] == shown.ids).sum(axis=1) == 1
+        others = no_tracks().updated(time_s, shown.take(is_once & ~np.isin(shown.ids, self.seen.ids)))
+        return self.take(~np.isin(self.ids, shown.ids))._with(others)
 
     def _elapsed_s(self, time_s: float) -> Array:
         """Return the times (N,) since markers were seen; 1 s for each image if times do not increase."""
@@ -184,6 +169,23 @@ class Tracks(RowRecord):
         """Return these tracks and others, in ascending order of id."""
         both = self.joined(others)
         return both.take(np.argsort(both.ids, kind="stable"))
+
+
+@dataclass(frozen=True)
+class ShownMarkers(RowRecord):
+    """Markers that an image shows.
+
+    Attributes:
+        ids: (N,) of the markers.
+        homographies: of the markers.
+        sigmas_px: (N,) standard deviations of the blur, lens and pixel together, px.
+        surroundings: of the markers.
+    """
+
+    ids: IntArray
+    homographies: LocalHomographies
+    sigmas_px: Array
+    surroundings: Surroundings
 
 
 def no_tracks() -> Tracks:

@@ -17,7 +17,7 @@ from skyherd.vision.photometric.fitting.fit import fit_markers
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.fitting.surroundings import Surroundings
-from skyherd.vision.photometric.tracks import MAX_MISSED, no_tracks
+from skyherd.vision.photometric.tracks import MAX_MISSED, ShownMarkers, no_tracks
 
 DICTIONARY, SIZE = "4X4_50", (400, 320)
 HOMES = np.array([80 + 80j, 200 + 80j, 320 + 80j, 80 + 230j, 200 + 230j, 320 + 230j])
@@ -26,7 +26,9 @@ HOMES = np.array([80 + 80j, 200 + 80j, 320 + 80j, 80 + 230j, 200 + 230j, 320 + 2
 # --- prediction ---
 
 
-SIGMAS, cards = np.full(2, 0.85), Surroundings.of_cards
+def shown(ids: np.ndarray, homographies: LocalHomographies) -> ShownMarkers:
+    """Markers on cards that an image shows."""
+    return ShownMarkers(ids, homographies, np.full(ids.size, 0.85), Surroundings.of_cards(ids.size))
 
 
 def flight(times, *, turn=0.0, zoom=0.0, arc=0.0, hub=200 + 150j):
@@ -48,8 +50,8 @@ def prediction_error(step_s, **motion):
     one, two, three = flight(1.7 + step_s * np.arange(3), **motion)
     tracks = (
         no_tracks()
-        .updated(1.0, np.array([3, 8]), one, SIGMAS, cards(2))
-        .updated(1.0 + step_s, np.array([3, 8]), two, SIGMAS, cards(2))
+        .updated(1.0, shown(np.array([3, 8]), one))
+        .updated(1.0 + step_s, shown(np.array([3, 8]), two))
     )
     ahead = tracks.predicted(1.0 + 2 * step_s)
     return max(
@@ -73,13 +75,13 @@ def test_straight_path_is_predicted_and_a_new_marker_stays():
     moved = LocalHomographies(
         still.centers + 3 - 1j, still.similarities, still.anisotropies, still.perspectives
     )
-    once = no_tracks().updated(0.0, np.array([5]), still, SIGMAS[:1], cards(1))
+    once = no_tracks().updated(0.0, shown(np.array([5]), still))
     assert once.predicted(3.0).centers[0] == 100 + 50j
-    assert once.updated(1.0, np.array([5]), moved, SIGMAS[:1], cards(1)).predicted(1.5).centers[
-        0
-    ] == pytest.approx(104.5 + 48.5j)
+    assert once.updated(1.0, shown(np.array([5]), moved)).predicted(1.5).centers[0] == pytest.approx(
+        104.5 + 48.5j
+    )
     # Images that come without times are taken as evenly spaced.
-    untimed = once.updated(0.0, np.array([5]), moved, SIGMAS[:1], cards(1))
+    untimed = once.updated(0.0, shown(np.array([5]), moved))
     assert untimed.predicted(0.0).centers[0] == pytest.approx(106 + 48j)
 
 
@@ -100,10 +102,10 @@ def test_steps_that_turn_and_steps_that_do_not_are_told_apart():
 
     tracks, ids, times = no_tracks(), np.array([3, 8]), 0.5 * np.arange(5)
     for t in times[:3]:
-        tracks = tracks.updated(t, ids, homographies(t), SIGMAS, cards(2))
+        tracks = tracks.updated(t, shown(ids, homographies(t)))
     for t in times[3:]:
         np.testing.assert_allclose(tracks.predicted(t).centers, homographies(t).centers, atol=1e-10)
-        tracks = tracks.updated(t, ids, homographies(t), SIGMAS, cards(2))
+        tracks = tracks.updated(t, shown(ids, homographies(t)))
     assert tracks.on_arc.tolist() == [True, False]
 
 
@@ -122,13 +124,13 @@ def one_marker(center: complex) -> LocalHomographies:
 def test_velocity_after_a_gap_is_that_since_the_marker_was_seen(times_s):
     """Seen at 100 and 103, missed in two images, seen at 112: each step is of 3 px."""
     ids, nothing = np.array([5]), one_marker(0j).take(np.zeros(0, dtype=np.int64))
-    tracks = no_tracks().updated(times_s[0], ids, one_marker(100 + 0j), SIGMAS[:1], cards(1))
-    tracks = tracks.updated(times_s[1], ids, one_marker(103 + 0j), SIGMAS[:1], cards(1))
+    tracks = no_tracks().updated(times_s[0], shown(ids, one_marker(100 + 0j)))
+    tracks = tracks.updated(times_s[1], shown(ids, one_marker(103 + 0j)))
     for time_s in times_s[2:4]:
         assert tracks.predicted(time_s).centers[0] == pytest.approx(106 + 3 * tracks.missed[0])
-        tracks = tracks.updated(time_s, ids[:0], nothing, SIGMAS[:0], cards(0))
+        tracks = tracks.updated(time_s, shown(ids[:0], nothing))
     assert tracks.missed.tolist() == [2] and not len(tracks.seen.ids)
-    tracks = tracks.updated(times_s[4], ids, one_marker(112 + 0j), SIGMAS[:1], cards(1))
+    tracks = tracks.updated(times_s[4], shown(ids, one_marker(112 + 0j)))
     step_s = 0.5 if times_s[4] else 1.0
     assert tracks.velocities[0] * step_s == pytest.approx(3.0) and tracks.missed.tolist() == [0]
 
@@ -143,11 +145,11 @@ def test_camera_resumed_after_months_finds_all_markers(place_markers, draw_marke
 
 
 def test_missed_marker_is_forgotten_after_ten_images():
-    tracks = no_tracks().updated(0.0, np.array([5]), one_marker(100 + 0j), SIGMAS[:1], cards(1))
+    tracks = no_tracks().updated(0.0, shown(np.array([5]), one_marker(100 + 0j)))
     nothing = one_marker(0j).take(np.zeros(0, dtype=np.int64))
     lengths = []
     for number in range(MAX_MISSED + 1):
-        tracks = tracks.updated(1.0 + number, np.zeros(0, dtype=np.int64), nothing, SIGMAS[:0], cards(0))
+        tracks = tracks.updated(1.0 + number, shown(np.zeros(0, dtype=np.int64), nothing))
         lengths.append(len(tracks.ids))
     assert lengths == [1] * MAX_MISSED + [0]
 
@@ -155,9 +157,9 @@ def test_missed_marker_is_forgotten_after_ten_images():
 def test_marker_found_at_two_places_is_not_followed():
     """One found where it was missed is followed on; one that is followed elsewhere is at two places."""
     both = one_marker(100 + 0j).joined(one_marker(200 + 0j))
-    tracks = no_tracks().updated(0.0, np.array([3, 8]), both, SIGMAS, cards(2))
-    tracks = tracks.updated(1.0, np.array([3]), one_marker(100 + 0j), SIGMAS[:1], cards(1))
-    others = tracks.with_others(1.0, np.array([3, 8]), both, SIGMAS, cards(2))
+    tracks = no_tracks().updated(0.0, shown(np.array([3, 8]), both))
+    tracks = tracks.updated(1.0, shown(np.array([3]), one_marker(100 + 0j)))
+    others = tracks.with_others(1.0, shown(np.array([3, 8]), both))
     assert others.ids.tolist() == [8] and others.missed.tolist() == [0]
 
 

@@ -97,14 +97,17 @@ def _cell_responses(n_cells: int, *, clips: bool) -> Array:
 
 @lru_cache(maxsize=1)
 def resolved_shares() -> Array:
-    """Return share (blurs,) of the bits that are independent of their neighbours under a blur."""
+    """Return the share (blurs,) of the bits that are independent of their neighbours under a blur."""
     return np.array([math.prod(min(1.0, RESOLVED_CELLS / value) for value in blur) for blur in BLURS_CELLS])
 
 
 def log_grids(
     readings: Readings, whiteness: Array, blur: tuple[float, float], dictionary: str, *, clips: bool
 ) -> Array:
-    """Return the log posterior (N,) of squares of other grids, with the bits that readings show."""
+    """Return the log likelihoods (N,) of squares of other grids, each with the bits that readings show.
+
+    They are summed over the grids, each weighted by the chance of its bits, `2^-bits`.
+    """
     n = readings.n_cells
     side = PARTS * (n + 2)
     inside = whiteness.reshape(-1, side, side)[:, PARTS:-PARTS, PARTS:-PARTS].astype(np.float32)

@@ -316,6 +316,17 @@ def test_lines_are_not_looked_for_where_blur_leaves_no_hope(monkeypatch) -> None
     assert asked, "the negative control"
 
 
+@pytest.mark.parametrize(("name", "column"), [("BITS_ODDS", 1), ("RECTANGLES_ODDS", 2), ("GRIDS_ODDS", 3)])
+def test_prior_odds_count_once_against_a_marker(name, column, monkeypatch) -> None:
+    """With prior odds greater by e, the log odds against that hypothesis alone are smaller by 1."""
+    given = noisy(card(marker_cells("4X4_50", 11)), 1), corners(6), "4X4_50"
+    before, prior = marker_odds(*given).against[0], getattr(likelihood, name)
+    reference = before - np.eye(4)[column]
+    monkeypatch.setattr(likelihood, name, math.e * prior)
+    assert np.isfinite(before).all()
+    np.testing.assert_allclose(marker_odds(*given).against[0], reference, atol=1e-9)
+
+
 def test_candidates_are_weighed_alike_in_parts(monkeypatch) -> None:
     image = noisy(card(marker_cells("APRILTAG_36h11", 301)), 1)
     places = np.concatenate([corners(8), corners(8) + 1.5, corners(8, 2), corners(8) - 1])

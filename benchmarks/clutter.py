@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import numpy.typing as npt
-from command import add_min_robust_log_odds, run
+from command import add_thresholds, run
 from scipy.stats import beta
 
 from skyherd.files.atomic import write_text
@@ -239,7 +239,7 @@ def main() -> None:
     parser.add_argument("--dictionary", default="4X4_50")
     parser.add_argument("--detectors", default="photometric,opencv")
     parser.add_argument("--json", type=Path)
-    add_min_robust_log_odds(parser)
+    add_thresholds(parser)
     given = parser.parse_args()
     names = given.detectors.split(",")
     detectors = {name: create_detector(name, dictionary=given.dictionary) for name in names}

@@ -13,18 +13,19 @@ def numbers(text: str) -> list[float]:
     return [float(part) for part in text.split(",")]
 
 
-def add_min_robust_log_odds(parser: argparse.ArgumentParser) -> None:
-    """Add the option of another threshold for candidates of `photometric` with a robust fit."""
-    parser.add_argument(
-        "--min-robust-log-odds", type=float, action=_MinRobustLogOdds, help="threshold of photometric"
-    )
+def add_thresholds(parser: argparse.ArgumentParser) -> None:
+    """Add the options of other log odds from which on `photometric` accepts candidates."""
+    for name, measured in (("MIN_LOG_ODDS", "their edges alone"), ("MIN_ROBUST_LOG_ODDS", "a robust fit")):
+        option = f"--{name.lower().replace('_', '-')}"
+        words = f"log odds from which on photometric accepts candidates that {measured} measure"
+        parser.add_argument(option, type=float, action=_Threshold, const=name, help=words)
 
 
-class _MinRobustLogOdds(argparse.Action):
-    """Replaces the threshold in this process."""
+class _Threshold(argparse.Action):
+    """Replaces a threshold, `const`, in this process."""
 
     def __call__(self, parser: object, given: argparse.Namespace, value: Any, option: object = None) -> None:
-        likelihood.MIN_ROBUST_LOG_ODDS = value
+        setattr(likelihood, str(self.const), value)
         setattr(given, self.dest, value)
 
 

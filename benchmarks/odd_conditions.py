@@ -19,7 +19,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from command import add_min_robust_log_odds, run
+from command import add_thresholds, run
 
 from skyherd.files.atomic import write_text
 from skyherd.geometry import Array, apply_homography, inverse
@@ -441,7 +441,7 @@ def main() -> None:
     parser.add_argument("--tuning", action="store_true")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--table", type=Path)
-    add_min_robust_log_odds(parser)
+    add_thresholds(parser)
     given = parser.parse_args()
     names = given.detectors.split(",")
     detectors = {name: create_detector(name, dictionary=given.dictionary) for name in names}

@@ -16,6 +16,7 @@ from skyherd.vision.photometric.cards import MAX_OUTLINE_RATIO, are_on_ground, f
 from skyherd.vision.photometric.covered import fit_visible_pixels
 from skyherd.vision.photometric.evidence.likelihood import (
     MarkerOdds,
+    clear_log_odds,
     log_likelihoods,
     marker_odds,
     min_log_odds,
@@ -66,7 +67,7 @@ def are_likely(image: Image, dictionary: str, fits: FitResults) -> BoolArray:
     corners_px = fits.corners_px
     odds = weigh(image, dictionary, fit_edges(image, corners_px, cells_per_side(dictionary)), corners_px)
     is_own = (odds.ids == fits.ids) & (odds.turns == 0)
-    return np.asarray(is_own & (odds.log_odds >= min_log_odds(dictionary)))
+    return np.asarray(is_own & (odds.log_odds >= clear_log_odds(dictionary)))
 
 
 def _best_odds(image: Image, dictionary: str, edges_px: Array, fitted_px: Array) -> MarkerOdds:
@@ -77,7 +78,7 @@ def _best_odds(image: Image, dictionary: str, edges_px: Array, fitted_px: Array)
     """
     odds = marker_odds(image, edges_px, dictionary)
     costs = _pose_costs(fitted_px, edges_px)
-    rows = np.flatnonzero((odds.log_odds < min_log_odds(dictionary)) & (costs < MAX_POSE_COST))
+    rows = np.flatnonzero((odds.log_odds < clear_log_odds(dictionary)) & (costs < MAX_POSE_COST))
     if not rows.size:
         return odds
     fitted = marker_odds(image, fitted_px[rows], dictionary)
@@ -118,8 +119,8 @@ def decide(
         return fits, good, plane
     read, edges = read.take(others), edges.take(others)
     measured = _measured(image, dictionary, read, known_plane, noises.verified, edges)
-    is_beyond_doubt = odds.log_odds[others] >= min_log_odds(dictionary)
-    accepted = is_beyond_doubt | (measured.qualities == Quality.ROBUST)
+    is_sure = odds.log_odds[others] >= min_log_odds(dictionary)
+    accepted = is_sure | (measured.qualities == Quality.ROBUST)
     if code_distance(dictionary) < STRONG_DISTANCE:
         accepted &= np.abs(measured.homographies.keystones()) <= MAX_KEYSTONE
     return *replaced(fits, good, rows[others[accepted]], measured.take(accepted)), plane

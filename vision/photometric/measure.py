@@ -37,7 +37,7 @@ from skyherd.vision.photometric.candidates import (
 )
 from skyherd.vision.photometric.cards import refit_without_cards
 from skyherd.vision.photometric.covered import refit_covered
-from skyherd.vision.photometric.evidence.likelihood import min_robust_log_odds
+from skyherd.vision.photometric.evidence.likelihood import min_log_odds
 from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
 from skyherd.vision.photometric.fitting.fit import USUAL_NOISE, image_middle
 from skyherd.vision.photometric.fitting.fit_result import FitResults, replaced, weighted_median
@@ -189,7 +189,7 @@ def verify_and_refit(
     if plane.shared:
         fits, good = _refit_off_plane(image, dictionary, fits, good, start, worth, noises)
     fits, good, plane = with_streak(image, dictionary, fits, good, plane, worth)
-    likely = np.flatnonzero(~good[rest] & (odds.log_odds >= min_robust_log_odds(dictionary)))
+    likely = np.flatnonzero(~good[rest] & (odds.log_odds >= min_log_odds(dictionary, robust=True)))
     if likely.size:
         given = rest[likely], odds.take(likely), edges.take(likely).turned(odds.turns[likely])
         fits, good, plane = decide(image, dictionary, fits, good, *given, plane, known_plane, noises)

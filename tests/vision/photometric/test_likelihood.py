@@ -18,7 +18,7 @@ from skyherd.vision.native.pattern_records import PARTS
 from skyherd.vision.photometric import measure
 from skyherd.vision.photometric.evidence import likelihood, pattern_fit, random_bits
 from skyherd.vision.photometric.evidence import readings as readings_module
-from skyherd.vision.photometric.evidence.likelihood import marker_odds, min_log_odds
+from skyherd.vision.photometric.evidence.likelihood import clear_log_odds, marker_odds, min_log_odds
 from skyherd.vision.photometric.evidence.pattern_fit import fit_patterns
 from skyherd.vision.photometric.evidence.readings import (
     Readings,
@@ -70,12 +70,15 @@ def test_overexposed_edge_seems_to_end_at_half_the_contrast() -> None:
     np.testing.assert_array_equal(cell_edges(6, 6, blur_cells, clips=False), np.arange(7))
 
 
-def test_threshold_is_below_the_most_that_16_bits_can_show() -> None:
+def test_thresholds_are_below_the_most_that_bits_can_show() -> None:
     most = 16 * math.log(2 * 0.98) - math.log(4 * 50) - math.log(likelihood.BITS_ODDS)
     assert likelihood.most_log_odds("4X4_50") == pytest.approx(most) == pytest.approx(8.4646, abs=1e-3)
-    assert min_log_odds("4X4_50") == pytest.approx(most - likelihood.MAX_DOUBT)
-    assert min_log_odds("4X4_250") == pytest.approx(min_log_odds("4X4_50") - math.log(5))
-    assert min_log_odds("APRILTAG_36h11") == likelihood.MIN_LOG_ODDS
+    assert clear_log_odds("4X4_50") == pytest.approx(most - likelihood.MAX_DOUBT)
+    assert clear_log_odds("4X4_250") == pytest.approx(clear_log_odds("4X4_50") - math.log(5))
+    assert clear_log_odds("APRILTAG_36h11") == likelihood.CLEAR_LOG_ODDS
+    assert min_log_odds("4X4_50") == min_log_odds("APRILTAG_36h11") == likelihood.MIN_LOG_ODDS
+    assert min_log_odds("4X4_50", robust=True) == likelihood.MIN_ROBUST_LOG_ODDS
+    assert min_log_odds("4X4_1000") == min_log_odds("4X4_1000", robust=True) == clear_log_odds("4X4_1000")
 
 
 @pytest.mark.parametrize("turn", range(4))
@@ -108,7 +111,7 @@ def test_two_wrong_bits_of_36_are_accepted_and_six_refused() -> None:
     assert accepted == [True, True, False]
 
 
-@pytest.mark.parametrize("spot_cells", [(3.0, 5.0), (2.2, 5.4), (5.5, 5.5)])
+@pytest.mark.parametrize("spot_cells", [(3.0, 5.0), (2.2, 5.4), (5.0, 5.0)])
 def test_bits_under_glare_count_neither_for_nor_against(spot_cells, monkeypatch) -> None:
     """A spot of light saturates several black cells. The control takes them for white ones."""
     levels = card(marker_cells("APRILTAG_36h11", 40))
@@ -309,9 +312,9 @@ def test_lines_are_not_looked_for_where_blur_leaves_no_hope(monkeypatch) -> None
     without_line = likelihood.without_line
     monkeypatch.setattr(likelihood, "without_line", lambda *of: asked.append(1) or without_line(*of))
     odds = marker_odds(*given)
-    assert odds.ids[0] == 7 and odds.ceilings[0] < likelihood.min_robust_log_odds("4X4_50")
+    assert odds.ids[0] == 7 and odds.ceilings[0] < min_log_odds("4X4_50", robust=True)
     assert not asked
-    monkeypatch.setattr(likelihood, "min_robust_log_odds", lambda dictionary: -np.inf)
+    monkeypatch.setattr(likelihood, "MIN_ROBUST_LOG_ODDS", -np.inf)
     marker_odds(*given)
     assert asked, "the negative control"
 

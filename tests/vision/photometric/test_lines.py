@@ -6,7 +6,7 @@ import pytest
 
 from skyherd.markers.dictionary import marker_cells
 from skyherd.vision.photometric.evidence import likelihood, lines
-from skyherd.vision.photometric.evidence.likelihood import marker_odds, min_robust_log_odds
+from skyherd.vision.photometric.evidence.likelihood import marker_odds, min_log_odds
 from skyherd.vision.photometric.evidence.lines import without_line
 from skyherd.vision.photometric.evidence.readings import Readings
 
@@ -75,7 +75,7 @@ def test_markers_under_a_pen_line_are_recognised(most: int, monkeypatch: pytest.
                 card(marker_cells(DICTIONARY, marker)), 0.2 + turn * 0.39, 3.0 * number - 6, 4.0, INK
             )
             odds = marker_odds(image, corners(), DICTIONARY)
-            is_accepted = bool(odds.log_odds[0] >= min_robust_log_odds(DICTIONARY))
+            is_accepted = bool(odds.log_odds[0] >= min_log_odds(DICTIONARY, robust=True))
             assert not is_accepted or odds.ids[0] == marker
             accepted += is_accepted
     assert accepted >= 35 if most else accepted < 15
@@ -94,7 +94,7 @@ def test_a_wrong_bit_is_no_line(level: float) -> None:
         image = crossed(card(cells), float(rng.uniform(0, 3)), 0.0, 0.0, level)
         _, has_line = without_line(Readings.read(image, corners(), 6).all_seen(), DICTIONARY)
         odds = marker_odds(image, corners(), DICTIONARY)
-        assert not has_line.any() and odds.log_odds[0] < min_robust_log_odds(DICTIONARY)
+        assert not has_line.any() and odds.log_odds[0] < min_log_odds(DICTIONARY, robust=True)
         tried += 1
 
 

@@ -51,15 +51,15 @@ from skyherd.vision.row_record import RowRecord
 BITS_ODDS, RECTANGLES_ODDS, GRIDS_ODDS = 0.05, 0.03, 0.05
 """Prior odds of each kind of clutter against a marker. Chosen."""
 
-MIN_LOG_ODDS, MAX_DOUBT = 9.0, 0.27
-"""A candidate is accepted from the first log odds on. Where a dictionary has too few bits for that, it may
-fall short of the most that an image can show by the second. Measured: `benchmarks/clutter.py`."""
+MIN_LOG_ODDS, MIN_ROBUST_LOG_ODDS = 7.0, 6.4
+"""Log odds from which on a candidate is accepted: 1,100 to 1 if its edges alone measure it, 600 to 1 if its
+pixels agree on a pose, by a robust fit. Three bits of 4X4_50 may be unreadable then, which leave 6.44. Chosen
+with other seeds than those of the tables: `docs/conditions.md` has recall and clutter at other thresholds."""
 
-MIN_ROBUST_LOG_ODDS = 6.4
-"""A candidate whose pixels agree on a pose, by a robust fit, is accepted from these log odds on: 600 to 1.
-Three bits of 4X4_50 may be unreadable then, which leave 6.44. Chosen with other seeds than those of the
-tables (`docs/conditions.md`): of 48 markers under small glare 34 are found, with 7 instead 31, and with 6
-instead 43. Five of 32,000 shapes of clutter are false positives, with 7 instead four, and with 6 six."""
+CLEAR_LOG_ODDS, MAX_DOUBT = 9.0, 0.27
+"""Log odds from which on nothing that may lie on a candidate is looked for. Where a dictionary has too few
+bits for these or those above, the most that an image can show less the second. Chosen: no marker in plain
+sight has less."""
 
 CANDIDATES_AT_ONCE = 128
 """Candidates whose readings and patterns are in memory together. Chosen: they take 10 MB, however many
@@ -147,14 +147,19 @@ def _most_log_odds(dictionary: str, resolved_share: float) -> float:
     return bits * math.log(2 * (1 - SPOILT_CELLS)) - tried - math.log(BITS_ODDS)
 
 
-def min_log_odds(dictionary: str) -> float:
-    """Return the log odds from which on a candidate is accepted as a marker of a dictionary."""
-    return min(MIN_LOG_ODDS, most_log_odds(dictionary) - MAX_DOUBT)
+def min_log_odds(dictionary: str, *, robust: bool = False) -> float:
+    """Return the log odds from which on a candidate is accepted as a marker of a dictionary.
+
+    Args:
+        dictionary: of the markers.
+        robust: whether a robust fit measures the candidate.
+    """
+    return min(MIN_ROBUST_LOG_ODDS if robust else MIN_LOG_ODDS, clear_log_odds(dictionary))
 
 
-def min_robust_log_odds(dictionary: str) -> float:
-    """Return the log odds from which on a candidate is accepted that a robust fit measures."""
-    return min(MIN_ROBUST_LOG_ODDS, min_log_odds(dictionary))
+def clear_log_odds(dictionary: str) -> float:
+    """Return the log odds from which on a candidate is clear: nothing that may lie on it is looked for."""
+    return min(CLEAR_LOG_ODDS, most_log_odds(dictionary) - MAX_DOUBT)
 
 
 def marker_odds(image: Image, corners_px: Array, dictionary: str) -> MarkerOdds:
@@ -219,8 +224,8 @@ def _without(
     rows, clear = np.arange(len(readings.levels)), readings
     for _ in range(most):
         so_far = odds.take(rows)
-        doubtful = so_far.log_odds < min_log_odds(dictionary)
-        doubtful &= so_far.ceilings >= min_robust_log_odds(dictionary)
+        doubtful = so_far.log_odds < clear_log_odds(dictionary)
+        doubtful &= so_far.ceilings >= min_log_odds(dictionary, robust=True)
         rows, clear = _only(rows, clear, doubtful & _is_hopeful(so_far, least))
         if not rows.size:
             break

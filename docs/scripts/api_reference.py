@@ -6,12 +6,16 @@ from pathlib import Path
 
 ROOT = Path(__file__).parent.parent.parent
 
+PLACES: dict[str, str] = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"][
+    "package-dir"
+]
+"""Folders of packages outside the folder of the package that contains them, by the package's full name."""
+
 
 def packages() -> dict[str, Path]:
     """Return the folder of each package that has modules, by the package's full name."""
-    places = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["package-dir"]
     folders = {}
-    for name, place in sorted(places.items()):
+    for name, place in sorted(PLACES.items()):
         for init in (ROOT / place).rglob("__init__.py"):
             folders[".".join((name, *init.parent.relative_to(ROOT / place).parts))] = init.parent
     return {name: folder for name, folder in sorted(folders.items()) if modules(folder) or name == "skyherd"}
@@ -46,8 +50,9 @@ def offered_names(package: str, folder: Path) -> dict[str, str]:
 
 def home(module: str, name: str) -> str:
     """Return the module that defines a name: the imported module, or the one that its package imports."""
-    folder = packages().get(module)
-    return module if folder is None else offered_names(module, folder).get(name, module)
+    place = max((top for top in PLACES if f"{module}.".startswith(f"{top}.")), key=len)
+    folder = ROOT / PLACES[place] / module.removeprefix(place).lstrip(".").replace(".", "/")
+    return offered_names(module, folder).get(name, module) if folder.is_dir() else module
 
 
 PUBLIC = {

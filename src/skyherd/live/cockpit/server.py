@@ -21,6 +21,9 @@ from skyherd.report.access import Access, bind
 WAIT_S = 5.0
 """Longest wait for a browser, s. Chosen: a slow one is dropped, and asks again."""
 
+CLOSE_S = 0.05
+"""Longest delay of the server's end, s. Chosen: twenty checks a second cost nothing."""
+
 HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
 """Headers of every answer."""
 
@@ -62,7 +65,7 @@ class Server:
             "skyherd.live.cockpit", "cockpit.html", title=title, nonce=self._nonce
         ).encode()
         self._http = _Http(listener, self)
-        self._thread = Thread(target=self._http.serve_forever, name="page", daemon=True)
+        self._thread = Thread(target=self._http.serve_forever, args=(CLOSE_S,), name="page", daemon=True)
         self._thread.start()
 
     def publish(self, state: Mapping[str, Any]) -> None:

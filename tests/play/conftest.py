@@ -54,17 +54,22 @@ GL_ARGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftsh
 """Arguments with which Chromium draws 3-D scenes without a GPU."""
 
 
+@pytest.fixture(scope="session")
+def gl_chromium(browser):
+    """Provide Chromium with WebGL; it compiles the shaders of the page once."""
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    args = ["--no-sandbox", "--no-first-run", "--disable-background-networking", *GL_ARGS]
+    with closing(browser.browser_type.launch(executable_path=program, args=args)) as chromium:
+        yield chromium
+
+
 @pytest.fixture
-def gl_browser(browser):
-    """Return a function that opens a page in a browser with WebGL, to be used in a `with` statement."""
+def gl_browser(gl_chromium):
+    """Return a function that opens a page with WebGL in a new context, to be used in a `with` statement."""
 
     @contextmanager
     def make(url, width=1280, height=800):
-        kind = browser.browser_type
-        program = shutil.which("chromium") or shutil.which("google-chrome")
-        args = ["--no-sandbox", "--no-first-run", "--disable-background-networking", *GL_ARGS]
-        with closing(kind.launch(executable_path=program, args=args)) as chromium:
-            window = chromium.new_page(viewport={"width": width, "height": height})
+        with closing(gl_chromium.new_page(viewport={"width": width, "height": height})) as window:
             window.set_default_timeout(20_000)
             window.goto(url)
             yield window

@@ -21,6 +21,7 @@ from viser._messages import (
 
 from skyherd.errors import InputError
 from skyherd.play.grab import NAME
+from skyherd.play.server import MAX_REFUSED
 from skyherd.play.session import Pause
 from skyherd.report.access import Access, bind
 
@@ -107,6 +108,7 @@ def connect(access, **changed):
         additional_headers=sent,
         subprotocols=[protocol],
         max_size=None,
+        max_queue=None,  # A browser reads all that it gets, so that it also gets the end of the connection.
     )
 
 
@@ -284,14 +286,14 @@ class TestServer:
 
             async def attack():
                 async with connect(page.access) as socket:
-                    for _ in range(30):
+                    for _ in range(MAX_REFUSED):
                         await socket.send(b"\x00")
                     with pytest.raises(websockets.ConnectionClosed) as closed:
                         while True:
                             await socket.recv()
                 assert closed.value.rcvd.code == 1008
 
-            run_async(attack())
+            run_async(asyncio.wait_for(attack(), 20))
 
 
 CAMERA = msgspec.msgpack.encode(

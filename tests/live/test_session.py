@@ -235,6 +235,7 @@ class ScriptedRun:
         self.arguments, self.stops_s, self.closed, self.said = {}, [], 0, []
         self.children = []
         monkeypatch.setattr("skyherd.live.session.ZenohRadio", lambda *places, **options: self)
+        monkeypatch.setattr("skyherd.live.session.REFRESH_S", 0.02)
 
     def publish(self, topic, data) -> None:
         if "/stop/" in topic:
@@ -375,7 +376,7 @@ class TestRun:
         assert not scripted_run.folder.exists() and scripted_run.closed == 1
 
     def test_crashed_process_is_restarted(self, scripted_run, tmp_path, monkeypatch) -> None:
-        monkeypatch.setattr("skyherd.live.supervisor.FIRST_WAIT_S", 0.01)
+        monkeypatch.setattr("skyherd.live.supervisor.MAX_WAIT_S", 0.01)
         mark = tmp_path / "started"
         scripted_run.programs["robot/1"] = ["sh", "-c", f"test -e {mark} && exec cat; touch {mark}; exit 7"]
         restarted = lambda: any(child.restarts for child in scripted_run.children)  # noqa: E731

@@ -112,7 +112,11 @@ def missed_stop_row(faults, seed: int):
     return faults.run("missed stop", seed, duration_s=16.0)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+WAKING_SEED = 3
+"""Seed of a run in which such a robot drives without the latch."""
+
+
+@pytest.mark.parametrize("seed", [0, WAKING_SEED])
 def test_robot_that_missed_a_stop_stands_still(faults, seed) -> None:
     row = missed_stop_row(faults, seed)
     assert row["turned_s"] is not None and not row["exceeded"]
@@ -121,8 +125,7 @@ def test_robot_that_missed_a_stop_stands_still(faults, seed) -> None:
 def test_robot_that_missed_a_stop_drives_without_latch(faults, monkeypatch) -> None:
     """Negative control: messages carry no stop numbers."""
     monkeypatch.setattr(StopLatch, "merge", lambda latch, other: NO_COMMAND)
-    rows = [missed_stop_row(faults, seed) for seed in range(4)]
-    assert any(row["woke"] for row in rows)
+    assert missed_stop_row(faults, WAKING_SEED)["woke"]
 
 
 @pytest.mark.parametrize("fault", ["pending arm", "stop lost", "second team of one name"])

@@ -33,6 +33,9 @@ BITS, BLOCK = 6, 32
 WAIT_S = 30.0
 """Longest wait for an expected event, s. Chosen: enough for slow machines."""
 
+POLL_S = 0.02
+"""Longest delay of the end of a server, s."""
+
 
 def drawn(number: int):
     """Return a picture that encodes a number in blocks, robust to compression."""
@@ -212,7 +215,7 @@ def webcam():
     with ThreadingHTTPServer(("127.0.0.1", 0), Webcam) as server:
         server.asked, server.locked, server.stop = 0, False, threading.Event()
         server.daemon_threads = True
-        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread = threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True)
         thread.start()
         yield server
         server.stop.set()
@@ -329,7 +332,7 @@ class TestStreams:
                 pass
 
         with ThreadingHTTPServer(("127.0.0.1", 0), Playlist) as server:
-            threading.Thread(target=server.serve_forever, daemon=True).start()
+            threading.Thread(target=server.serve_forever, args=(POLL_S,), daemon=True).start()
             with pytest.raises(InputError):
                 open_camera(f"http://127.0.0.1:{server.server_port}/list.m3u8")
             server.shutdown()

@@ -60,7 +60,7 @@ def test_even_light_is_left_as_it_is() -> None:
 
 @pytest.mark.parametrize("edges", [0, 2])
 def test_markers_under_a_shadow_have_the_odds_of_markers(edges: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of clear ones, seven eighths of 32, none another id; without the search for edges, fewer than 4."""
+    """Seven eighths of 32 those of clear ones, none another id; without the search, fewer than four."""
     monkeypatch.setattr(likelihood, "MAX_SHADOW_EDGES", edges)
     clear = 0
     for number, marker in ((0, 2), (1, 11), (3, 23), (4, 40)):

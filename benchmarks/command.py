@@ -15,14 +15,14 @@ def numbers(text: str) -> list[float]:
 
 def add_thresholds(parser: argparse.ArgumentParser) -> None:
     """Add the options of other log odds from which on `photometric` accepts candidates."""
-    for name, measured in (("MIN_LOG_ODDS", "their edges alone"), ("MIN_ROBUST_LOG_ODDS", "a robust fit")):
+    for name, measured in (("MIN_LOG_ODDS", "its edges alone"), ("MIN_ROBUST_LOG_ODDS", "a robust fit")):
         option = f"--{name.lower().replace('_', '-')}"
-        words = f"log odds from which on photometric accepts candidates that {measured} measure"
+        words = f"log odds from which on photometric accepts a candidate that is measured by {measured}"
         parser.add_argument(option, type=float, action=_Threshold, const=name, help=words)
 
 
 class _Threshold(argparse.Action):
-    """Replaces a threshold, `const`, in this process."""
+    """Replaces the threshold that `const` names, in this process."""
 
     def __call__(self, parser: object, given: argparse.Namespace, value: Any, option: object = None) -> None:
         setattr(likelihood, str(self.const), value)

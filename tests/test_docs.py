@@ -1,7 +1,9 @@
 """Documentation against the code: its paths, commands, options and scenarios exist."""
 
 import ast
+import importlib
 import importlib.util
+import inspect
 import re
 import shlex
 import tomllib
@@ -81,6 +83,17 @@ def test_command_line_reference_has_every_verb_and_option() -> None:
     for name, verb in leaves(GROUP):
         for parameter in verb.params:
             assert parameter.param_type_name == "argument" or f"`{parameter.opts[0]}" in parts[name]
+
+
+def test_reference_links_each_name_to_the_module_that_defines_it() -> None:
+    reference, linked = script("api_reference"), 0
+    for package, folder in reference.packages().items():
+        for name, module in reference.offered_names(package, folder).items():
+            found = getattr(importlib.import_module(module), name)
+            if inspect.isclass(found) or inspect.isfunction(found):
+                assert found.__module__ == module, (package, name)
+                linked += 1
+    assert linked > 100
 
 
 def test_scenario_reference_has_every_key() -> None:

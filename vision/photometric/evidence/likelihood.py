@@ -58,8 +58,8 @@ with other seeds than those of the tables: `docs/conditions.md` has recall and c
 
 CLEAR_LOG_ODDS, MAX_DOUBT = 9.0, 0.27
 """Log odds from which on nothing that may lie on a candidate is looked for. Where a dictionary has too few
-bits for these or those above, the most that an image can show less the second. Chosen: no marker in plain
-sight has less."""
+bits for these or those above, the most that an image can show less the second. Chosen: sharp markers in
+even light have more, also with two wrong bits of 36."""
 
 CANDIDATES_AT_ONCE = 128
 """Candidates whose readings and patterns are in memory together. Chosen: they take 10 MB, however many

@@ -55,14 +55,20 @@ def dazzled(image, centers, rng):
     return np.clip(np.rint(image + rng.normal(0, 2, image.shape)), 0, 255).astype(np.uint8)
 
 
-def found_under_glare(place_markers, draw_markers) -> dict[tuple[int, int], int]:
+def banded(image, centers, rng):
+    """Return the image under light that varies by 0.35 with a period of 40 rows."""
+    light = 1 + 0.35 * np.sin(2 * np.pi * (np.arange(image.shape[0])[:, None] / 40 + rng.random()))
+    return np.clip(np.rint(light * image + rng.normal(0, 2, image.shape)), 0, 255).astype(np.uint8)
+
+
+def found_under(change, place_markers, draw_markers) -> dict[tuple[int, int], int]:
     """Quality by image and id of all markers found in twelve images, each within a pixel of its place."""
     found = {}
     for seed in range(12):
         rng = np.random.default_rng([9, seed])
         centers = PLACES + rng.uniform(-3, 3, 4) + 1j * rng.uniform(-3, 3, 4)
         image = draw_markers(place_markers(centers, rng.uniform(-3, 3, 4), 40.0), IDS, (190, 190), rng)
-        seen = PhotometricDetector(DICTIONARY, following=False).detect(dazzled(image, centers, rng))
+        seen = PhotometricDetector(DICTIONARY, following=False).detect(change(image, centers, rng))
         assert set(seen.ids) <= set(IDS)
         off_px = seen.centers_px @ [1, 1j] - centers[np.searchsorted(IDS, seen.ids)]
         assert np.abs(off_px).max(initial=0.0) < 1
@@ -72,24 +78,32 @@ def found_under_glare(place_markers, draw_markers) -> dict[tuple[int, int], int]
 
 def test_doubtful_markers_need_pixels_that_agree(place_markers, draw_markers, monkeypatch):
     """Without the lower threshold for robust fits fewer are found, and without robust fits no more."""
-    found = found_under_glare(place_markers, draw_markers)
+    found = found_under(dazzled, place_markers, draw_markers)
     monkeypatch.setattr(likelihood, "MIN_ROBUST_LOG_ODDS", likelihood.MIN_LOG_ODDS)
-    sure = found_under_glare(place_markers, draw_markers)
+    sure = found_under(dazzled, place_markers, draw_markers)
     assert sure.keys() < found.keys() and len(found) >= len(sure) + 5
     assert {found[one] for one in found.keys() - sure.keys()} == {Quality.ROBUST}
     monkeypatch.undo()
     monkeypatch.setattr(likely, "MAX_UNEXPLAINED_SHARE", -1.0)
-    assert found_under_glare(place_markers, draw_markers).keys() == sure.keys()
+    assert found_under(dazzled, place_markers, draw_markers).keys() == sure.keys()
 
 
 def test_fits_that_agree_with_the_edges_count(place_markers, draw_markers, monkeypatch):
     """If fits had to explain the readings better than the edges, fewer would be robust and fewer found."""
-    found = found_under_glare(place_markers, draw_markers)
+    found = found_under(dazzled, place_markers, draw_markers)
     monkeypatch.setattr(likely, "MAX_LOG_LOSS", 0.0)
-    better = found_under_glare(place_markers, draw_markers)
+    better = found_under(dazzled, place_markers, draw_markers)
     assert better.keys() < found.keys() and len(found) >= len(better) + 2
     robust, fewer = (list(one.values()).count(Quality.ROBUST) for one in (found, better))
     assert robust >= fewer + 4
+
+
+def test_markers_under_bands_of_light_are_found_by_their_edges(place_markers, draw_markers, monkeypatch):
+    """Of 48 at least 46. Odds of clear markers, a control, would leave fewer than 43."""
+    found = found_under(banded, place_markers, draw_markers)
+    assert len(found) >= 46 and list(found.values()).count(Quality.CORNERS) >= 20
+    monkeypatch.setattr(likelihood, "MIN_LOG_ODDS", likelihood.CLEAR_LOG_ODDS)
+    assert len(found_under(banded, place_markers, draw_markers)) < 43
 
 
 @pytest.mark.parametrize("dictionary", ["4X4_50", "4X4_1000", "5X5_100", "APRILTAG_36h11"])

@@ -161,6 +161,7 @@ def test_marker_found_at_two_places_is_not_followed():
     tracks = tracks.updated(1.0, shown(np.array([3]), one_marker(100 + 0j)))
     others = tracks.with_others(1.0, shown(np.array([3, 8]), both))
     assert others.ids.tolist() == [8] and others.missed.tolist() == [0]
+    assert 8 not in tracks.with_others(1.0, shown(np.array([8, 8]), both)).ids
 
 
 # --- following and searching agree ---

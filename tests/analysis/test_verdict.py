@@ -113,7 +113,8 @@ def test_verdict_names_a_run_that_is_too_short() -> None:
 
 
 def test_verdict_names_markers_that_cover_each_other() -> None:
-    settings = ["duration_s=90", "size.spacing_sides=0.1"]
+    """With a quarter of the images; the robots stand after 30 s."""
+    settings = ["duration_s=40", "step_s=0.2", "units.*.frame_rate_hz=2.5", "size.spacing_sides=0.1"]
     said = explain_outcome(history_of("table", *settings, perception="rendered"))
     assert "apart with markers 0.08 m wide, which cover each other; enlarge the shape (size)" in said
 

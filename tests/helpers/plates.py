@@ -33,19 +33,33 @@ def without_cards(matrices: Array, ground: float | Array) -> Callable[[Array], N
 
 
 def covered(matrix: Array, shape: tuple[int, ...]) -> Array:
-    """Return the shares (height, width) of pixels that a marker covers."""
-    offsets = (np.arange(POINTS) + 0.5) / POINTS - 0.5
+    """Return the shares (height, width) of pixels that a marker covers.
+
+    A marker is convex, so that only pixels need points whose corners lie on different sides of an edge.
+    """
+    to_plane = np.linalg.inv(matrix)
     corners = corners_px(matrix[None])[0]
-    (left, top), (right, bottom) = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0)) + 1
-    u = (np.arange(left, right)[:, None] + offsets).ravel()
-    v = (np.arange(top, bottom)[:, None] + offsets).ravel()
-    x, y, w = np.einsum(
-        "ij,jvu->ivu", np.linalg.inv(matrix), np.stack([*np.meshgrid(u, v), np.ones((v.size, u.size))])
-    )
-    inside = (np.abs(x / w) < 0.5) & (np.abs(y / w) < 0.5)
+    left, top = np.floor(corners.min(axis=0)).astype(int)
+    right, bottom = np.ceil(corners.max(axis=0)).astype(int) + 1
+
+    def sides(u: Array, v: Array) -> tuple[Array, Array]:
+        """Return on which side of the marker points lie along either axis: -1, 0 within it, or 1."""
+        x, y, w = (row[0] * u + row[1] * v + row[2] for row in to_plane)
+        return np.sign(x / w) * (np.abs(x / w) >= 0.5), np.sign(y / w) * (np.abs(y / w) >= 0.5)
+
+    inside = np.ones((bottom - top, right - left), dtype=bool)
+    outside = ~inside
+    for side in sides(np.arange(left, right + 1) - 0.5, np.arange(top, bottom + 1)[:, None] - 0.5):
+        four = np.stack([side[:-1, :-1], side[1:, :-1], side[:-1, 1:], side[1:, 1:]])
+        inside &= (four == 0).all(axis=0)
+        outside |= (four == 1).all(axis=0) | (four == -1).all(axis=0)
+    found = inside.astype(float)
+    rows, columns = np.nonzero(~inside & ~outside)
+    offsets = (np.arange(POINTS) + 0.5) / POINTS - 0.5
+    points = sides((left + columns)[:, None, None] + offsets, (top + rows)[:, None, None] + offsets[:, None])
+    found[rows, columns] = ((points[0] == 0) & (points[1] == 0)).mean(axis=(1, 2))
     shares = np.zeros(shape)
-    whole = inside.reshape(v.size // POINTS, POINTS, u.size // POINTS, POINTS).mean(axis=(1, 3))
-    shares[int(top) : int(bottom), int(left) : int(right)] = whole
+    shares[top:bottom, left:right] = found
     return shares
 
 

@@ -177,7 +177,7 @@ def test_three_rendered_cameras_agree_on_one_frame() -> None:
         camera = Camera((640, 480), focal_px=800.0)
         tilt = (0.0, np.radians(tilt_deg)) if k == 0 else (np.radians(-tilt_deg), 0.0)
         pose = CameraPose(place, 1.7, 0.0, tilt)
-        renderer = Renderer("4X4_50", SIDE_M, Ground(k), Sensor(2.0, rng))
+        renderer = Renderer("4X4_50", SIDE_M, Ground(1), Sensor(2.0, rng))
         image = renderer.render(Shot(camera, pose, np.arange(6), positions, headings))
         found = create_detector("photometric").detect(image)
         assert len(found) == 6

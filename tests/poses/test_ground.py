@@ -28,7 +28,7 @@ def image_of(seed, tilt_deg):
     headings = rng.uniform(-np.pi, np.pi, 9)
     tilt = np.radians(tilt_deg)
     pose = CameraPose((0.0, -HEIGHT_M * np.tan(tilt)), HEIGHT_M, 0.0, (-tilt, 0.0))
-    renderer = Renderer("4X4_50", SIDE_M, Ground(seed), Sensor(2.0, rng))
+    renderer = Renderer("4X4_50", SIDE_M, Ground(1), Sensor(2.0, rng))
     return renderer.render(Shot(CAMERA, pose, np.arange(9), positions, headings)), positions, headings
 
 

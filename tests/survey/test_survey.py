@@ -42,7 +42,7 @@ BOX = (
 
 def take(path: Path, pose: CameraPose, ids, positions_m, headings_rad, *, seed: int, frames=None) -> Path:
     """Render a picture with noise and write it."""
-    renderer = Renderer("4X4_50", SIDE_M, Ground(seed), Sensor(2.0, np.random.default_rng(seed)))
+    renderer = Renderer("4X4_50", SIDE_M, Ground(1), Sensor(2.0, np.random.default_rng(seed)))
     image = renderer.render(Shot(CAMERA, pose, ids, positions_m, headings_rad, frames=frames))
     Image.fromarray(image).save(path)
     return path

@@ -81,7 +81,7 @@ class Scene:
 
     def detect(self, seed: int) -> Detections:
         """Render an image of the shown markers, and detect them."""
-        renderer = Renderer(DICTIONARY, SIDE_M, Ground(seed), Sensor(2.0, np.random.default_rng(seed)))
+        renderer = Renderer(DICTIONARY, SIDE_M, Ground(1), Sensor(2.0, np.random.default_rng(seed)))
         shot = Shot(CAMERA, self.pose, self.ids, self.marker_places_m, self.marker_headings_rad)
         return create_detector("photometric", dictionary=DICTIONARY).detect(renderer.render(shot))
 

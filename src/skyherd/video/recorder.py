@@ -22,9 +22,9 @@ NICENESS = 19
 """Niceness of the drawing process. *Chosen*: the lowest priority, so that it uses cores that the loop leaves.
 *Measured* on two cores: 40 s of `star` take 16.5 to 17.1 s, without it 19.1 to 22.4 s."""
 
-WAITING = 8
-"""Number of steps that may wait for the drawing process. Chosen: 20 MB of images of six large cameras; with
-fewer the loop waits more often for slow frames."""
+MIN_WAITING, WAITING_BYTES = 8, 200_000_000
+"""Number of steps that may wait for the drawing process, and bytes of the images of more. Chosen: 104 steps
+of `star`, so that the first frames are drawn while the loop goes on, on cores that it leaves."""
 
 END_S = 2
 """Time for which a video shows its last frame with the verdict, s. Chosen: long enough to read it."""
@@ -140,7 +140,8 @@ class _FilmBeside(ExitStack):
         with ExitStack() as stack:
             stack.enter_context(one_thread())
             stack.callback(self._remove_parts)
-            self._helper = stack.enter_context(Helper(_Studio(mission, path).serve, gone, waiting=WAITING))
+            studio = Helper(_Studio(mission, path).serve, gone, waiting=_waiting(mission))
+            self._helper = stack.enter_context(studio)
             self._helper.ask(_BEGIN)
             self._parts = self._helper.answer()
             self.push(stack.pop_all())
@@ -179,6 +180,12 @@ class _FilmBeside(ExitStack):
         """Remove the temporary files of a helper that was closed early or killed."""
         for part in self._parts:
             part.unlink(missing_ok=True)
+
+
+def _waiting(mission: Mission) -> int:
+    """Return the number of steps that may wait for the drawing process."""
+    pixels = sum(width * height for width, height in (unit.camera.size_px for unit in mission.scenario.units))
+    return max(MIN_WAITING, WAITING_BYTES // pixels)
 
 
 _Request = tuple[Step, int] | tuple[str, bool] | str

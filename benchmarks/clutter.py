@@ -1,13 +1,20 @@
 """Measure false positives of detectors on drawn clutter: shapes that resemble markers and are none.
 
     python benchmarks/clutter.py --small 30000 --images 2000 --json clutter.json
-    python benchmarks/clutter.py --small 0 --images 600 --seed 7 --min-robust-log-odds 5.5
+    python benchmarks/clutter.py --small 0 --images 600 --seed 7 --robust-log-odds 2.7
+    python benchmarks/clutter.py --small 0 --markers 4
 
 Small images show one shape each, under perspective, blur, noise and uneven light: a dark square with light
 squares in it, a grid of random bits, text in a dark frame, a chessboard, a fence, a picture frame. Images
 of 640 x 480 px show twenty of these. A shape whose cells equal a codeword of the dictionary in any quarter
 turn is that marker, and is drawn again. The table gives the false positives of each detector and kind, and
 the upper end of the 95 % interval of their rate for each shape (Clopper and Pearson, 1934).
+
+The image of a shape may show a marker though its cells do not, as blur joins what is apart. The last lines
+say how many false positives show every bit of their id.
+
+With `--markers N`, markers of one size lie among the twenty shapes. What a detector reports at another place
+than half a side from that marker is false.
 """
 
 import argparse
@@ -24,8 +31,9 @@ from command import add_thresholds, run
 from scipy.stats import beta
 
 from skyherd.files.atomic import write_text
-from skyherd.geometry import Array
-from skyherd.markers.dictionary import all_marker_cells, cells_per_side
+from skyherd.geometry import Array, IntArray
+from skyherd.markers.dictionary import all_marker_cells, cells_per_side, dictionary_size, marker_cells
+from skyherd.messages import Detections
 from skyherd.vision import create_detector
 
 Pattern = npt.NDArray[np.float32]
@@ -39,6 +47,12 @@ SMALL_PX, SIDES_PX = 96, (12.0, 56.0)
 
 LARGE_PX, SHAPES = (640, 480), 20
 """Size of an image, and the shapes in it."""
+
+CELL_POINTS = 8
+"""Points along a cell where the bits of a false positive are read."""
+
+PLACES = 8
+"""Columns of an image, of which each has at most one marker."""
 
 OVERSAMPLING = 3
 LETTERS = "ABCDEFGHJKLMNPQRSTUVWXYZ0123456789#%&@"
@@ -213,15 +227,59 @@ def small_image(seed: int, number: int, dictionary: str) -> tuple[str, npt.NDArr
     return kind, developed(fine, rng)
 
 
-def large_image(seed: int, number: int, dictionary: str) -> npt.NDArray[np.uint8]:
-    """Return an image of a number, with twenty shapes."""
+def marker_pattern(dictionary: str, marker: int) -> Pattern:
+    """Return a marker on white."""
+    pattern = np.ones((PATTERN_PX, PATTERN_PX), dtype=np.float32)
+    cells = marker_cells(dictionary, marker).astype(np.float32)
+    pattern[SQUARE, SQUARE] = cv2.resize(cells, (128, 128), interpolation=cv2.INTER_NEAREST)
+    return pattern
+
+
+def large_image(
+    seed: int, number: int, dictionary: str, markers: int = 0
+) -> tuple[npt.NDArray[np.uint8], dict[int, Array], float]:
+    """Return an image of a number, with twenty shapes and markers, their centres, px, and side, px."""
     rng = np.random.default_rng([seed, 1_000_000 + number])
     width, height = LARGE_PX
     fine = np.full((height * OVERSAMPLING, width * OVERSAMPLING), rng.uniform(0.3, 1.0), dtype=np.float32)
     for kind in rng.choice(list(KINDS), SHAPES):
         center = rng.uniform([20, 20], [width - 20, height - 20])
         placed(fine, drawn(rng, dictionary, str(kind)), rng.uniform(*SIDES_PX), center, rng)
-    return developed(fine, rng)
+    rng_markers = np.random.default_rng([seed, 2_000_000 + number])
+    side_px, centers_px = float(rng_markers.uniform(*SIDES_PX)), dict[int, Array]()
+    columns = rng_markers.permutation(PLACES)[:markers]
+    ids = rng_markers.permutation(dictionary_size(dictionary))[:markers].tolist()
+    for marker, column in zip(ids, columns, strict=True):
+        row = rng_markers.uniform(50, height - 50)
+        centers_px[marker] = np.array([(column + 0.5) * width / PLACES, row])
+        placed(fine, marker_pattern(dictionary, marker), side_px, centers_px[marker], rng_markers)
+    return developed(fine, rng), centers_px, side_px
+
+
+def false_positives(found: Detections, centers_px: dict[int, Array], side_px: float) -> IntArray:
+    """Return the rows of the detections of no marker at its place."""
+    away_px = [
+        np.linalg.norm(center - centers_px[marker]) if marker in centers_px else np.inf
+        for marker, center in zip(found.ids.tolist(), found.centers_px, strict=True)
+    ]
+    return np.flatnonzero(np.array(away_px) > side_px / 2)
+
+
+def with_all_bits(image: npt.NDArray[np.uint8], found: Detections, rows: IntArray, dictionary: str) -> int:
+    """Return of how many detections at these rows the image shows every bit and a black border.
+
+    Then every cell that is white in the marker is brighter than every black one, in the middle of the cells.
+    """
+    n, count = cells_per_side(dictionary), 0
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32) * n * CELL_POINTS - 0.5
+    for marker, corners_px in zip(found.ids[rows].tolist(), found.corners_px[rows], strict=True):
+        to_cells = cv2.getPerspectiveTransform(corners_px.astype(np.float32), square)
+        points = cv2.warpPerspective(image, to_cells, (n * CELL_POINTS,) * 2).astype(float)
+        middle = slice(CELL_POINTS // 4, CELL_POINTS - CELL_POINTS // 4)
+        means = points.reshape(n, CELL_POINTS, n, CELL_POINTS)[:, middle, :, middle].mean(axis=(1, 3))
+        white = marker_cells(dictionary, marker)
+        count += bool(means[white].min() > means[~white].max())
+    return count
 
 
 def upper_bound(hits: int, trials: int) -> float:
@@ -238,6 +296,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--dictionary", default="4X4_50")
     parser.add_argument("--detectors", default="photometric,opencv")
+    parser.add_argument("--markers", type=int, default=0, help=f"markers in each image, up to {PLACES}")
     parser.add_argument("--json", type=Path)
     add_thresholds(parser)
     given = parser.parse_args()
@@ -245,25 +304,36 @@ def main() -> None:
     detectors = {name: create_detector(name, dictionary=given.dictionary) for name in names}
     hits: dict[str, Counter[str]] = {name: Counter() for name in names}
     shapes: Counter[str] = Counter()
+    found, shown = Counter[str](), Counter[str]()
     for number in range(given.small):
         kind, image = small_image(given.seed, number, given.dictionary)
         shapes[kind] += 1
         for name, detector in detectors.items():
-            hits[name][kind] += len(detector.detect(image).ids)
+            seen = detector.detect(image)
+            hits[name][kind] += len(seen)
+            shown[name] += with_all_bits(image, seen, np.arange(len(seen)), given.dictionary)
     for number in range(given.images):
-        image = large_image(given.seed, number, given.dictionary)
+        image, centers_px, side_px = large_image(given.seed, number, given.dictionary, given.markers)
         shapes["images of 20"] += 1
         for name, detector in detectors.items():
-            hits[name]["images of 20"] += len(detector.detect(image).ids)
+            seen = detector.detect(image)
+            false = false_positives(seen, centers_px, side_px)
+            hits[name]["images of 20"] += len(false)
+            shown[name] += with_all_bits(image, seen, false, given.dictionary)
+            found[name] += len(seen) - len(false)
     print(f"| {given.dictionary} | shapes | " + " | ".join(names) + " |")
     print("|---" * (2 + len(names)) + "|")
     for kind, count in shapes.items():
         print(f"| {kind} | {count} | " + " | ".join(str(hits[name][kind]) for name in names) + " |")
+    if given.markers:
+        right = " | ".join(str(found[name]) for name in names)
+        print(f"| markers found | {given.markers * given.images} | {right} |")
     for name in names:
         total = sum(hits[name][kind] for kind in KINDS)
         if given.small:
             bound = upper_bound(total, given.small)
             print(f"{name}: {total} of {given.small} small images, at most {bound:.2e} of them (95 %)")
+        print(f"{name}: {shown[name]} of {hits[name].total()} false positives show every bit of their id")
     if given.json:
         write_text(
             given.json, json.dumps({"shapes": shapes, "hits": hits, "given": vars(given)}, default=str)

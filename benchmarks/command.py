@@ -13,11 +13,18 @@ def numbers(text: str) -> list[float]:
     return [float(part) for part in text.split(",")]
 
 
+THRESHOLDS = {
+    "MIN_LOG_ODDS": "log odds from which on photometric accepts a candidate",
+    "ROBUST_LOG_ODDS": "log odds that a robust fit adds to them",
+    "LIKE_LOG_ODDS": "log odds that another marker of like size adds",
+}
+"""What options can change, by the name of the constant."""
+
+
 def add_thresholds(parser: argparse.ArgumentParser) -> None:
-    """Add the options of other log odds from which on `photometric` accepts candidates."""
-    for name, measured in (("MIN_LOG_ODDS", "its edges alone"), ("MIN_ROBUST_LOG_ODDS", "a robust fit")):
+    """Add the options of the log odds from which on `photometric` accepts candidates."""
+    for name, words in THRESHOLDS.items():
         option = f"--{name.lower().replace('_', '-')}"
-        words = f"log odds from which on photometric accepts a candidate that is measured by {measured}"
         parser.add_argument(option, type=float, action=_Threshold, const=name, help=words)
 
 

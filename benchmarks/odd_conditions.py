@@ -1,7 +1,7 @@
 """Measure detectors under odd conditions: glare, salt, interlacing, shadows, curled paper and others.
 
     python benchmarks/odd_conditions.py --table odd.md --json odd.json
-    python benchmarks/odd_conditions.py --tuning --only glare --dictionary 4X4_50 --min-robust-log-odds 5.5
+    python benchmarks/odd_conditions.py --tuning --only glare --dictionary 4X4_50 --robust-log-odds 2.7
 
 Each condition is applied to images of twelve markers of 40 px on a plane that is tilted by up to 40 degrees;
 its strength is that of the table. `--tuning` takes other seeds and other strengths, for work on the detector:

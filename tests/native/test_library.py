@@ -156,6 +156,8 @@ def fuzz_fit(library, rng, images=150):
         markers = np.zeros(count, dtype=MARKER)
         for name in MARKER.names:
             wild = rng.choice([0.0, 1e-300, 1e300, np.inf, np.nan, -1.0]) if rng.random() < 0.1 else None
+            is_whole = np.issubdtype(MARKER[name], np.integer)
+            wild = rng.integers(-1, 3) if is_whole else wild
             markers[name] = 10 ** rng.uniform(-3, 0.5, count) if wild is None else wild
         markers["center"] += rng.uniform(-20, 80, count) + 1j * rng.uniform(-20, 80, count)
         markers["height_px"] *= 20

@@ -233,7 +233,7 @@ def _likely(image: Image, dictionary: str, searched: SearchPass, suspects: _Susp
         fits = fits.joined(fit_alone(image, dictionary, others.ids, start, noise))
     readings, odds = _read(image, dictionary, fits, weighed, suspects, rows)
     tests = verification_tests(fits, noise, code_distance(dictionary)) if fits.ids.size else []
-    there, least, likely = searched.found.ids, min_log_odds(dictionary), list[Rejection]()
+    there, least, likely = searched.found.ids, float(min_log_odds(dictionary)), list[Rejection]()
     for reading, row, stage, log_odds, against in zip(
         readings, rows, suspects.stages, odds.log_odds, odds.against, strict=True
     ):

@@ -244,10 +244,11 @@ class PhotometricDetector:
             beside_markers=len(known) > 0,
             keep_at_border=keep_at_border,
         )
-        given = image, self.dictionary, state, quads_px, candidates
+        given, sides_px = (image, self.dictionary, state, quads_px, candidates), known.sides_px()
         if len(known) < MIN_MARKERS_ON_PLANE:
-            return replace(measure_candidates(*given, OWN_PLANES), decoded=decoded)
-        return replace(measure_candidates(*given, state.plane), plane=state.plane, decoded=decoded)
+            return replace(measure_candidates(*given, OWN_PLANES, sides_px), decoded=decoded)
+        measured = measure_candidates(*given, state.plane, sides_px)
+        return replace(measured, plane=state.plane, decoded=decoded)
 
 
 class DeferringDetector(PhotometricDetector):

@@ -245,8 +245,9 @@ def follow(image: Image, dictionary: str, state: CameraState, first: FirstFit) -
     rest = ~np.isin(ids, near.ids)
     fits, start = fits.take(rest), start.take(rest)
     if fits.ids.size:
+        corners_px, sides_px = _start_corners(fits, start), start.sides_px()  # each was seen before
         fits, good, plane, _ = verify_and_refit(
-            image, dictionary, fits, plane, start, _start_corners(fits, start)
+            image, dictionary, fits, plane, start, corners_px, known_sides_px=sides_px
         )
         fits = fits.take(good & np.isin(fits.ids, ids))
     found = unambiguous(fits.joined(near))
@@ -319,4 +320,5 @@ def _find_near(
     quads_px = find_quads_near(image, places, missed)
     quads_px = quads_px[outside_markers(quads_px, known)]
     candidates = find_candidates(image, dictionary, state, quads_px, beside_markers=len(known) > 0)
-    return measure_candidates(image, dictionary, state, quads_px, candidates).found
+    sides_px = places.sides_px()
+    return measure_candidates(image, dictionary, state, quads_px, candidates, known_sides_px=sides_px).found

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from skyherd.geometry import Array, BoolArray, IntArray
-from skyherd.markers.dictionary import border_cells, cells_per_side, code_distance
+from skyherd.geometry import Array, BoolArray
+from skyherd.markers.dictionary import border_cells, cells_per_side, code_distance, sides_of_corners
 from skyherd.messages import Quality
 from skyherd.vision.grey import Image
+from skyherd.vision.photometric.candidates import Weighed
 from skyherd.vision.photometric.cards import MAX_OUTLINE_RATIO, are_on_ground, fit_to_ground
 from skyherd.vision.photometric.covered import fit_visible_pixels
 from skyherd.vision.photometric.evidence.likelihood import (
@@ -49,6 +50,10 @@ MAX_LOG_LOSS = 2.0
 """Log likelihood by which a robust fit may explain the readings worse than the edges. Chosen: both then
 explain them as well, and the fit is more precise. Measured under odd conditions (4X4_50, tuning seeds): with
 0 ten of 1,848 markers are not found; with 5 fits under edges of shadows are 0.09 instead of 0.05 px off."""
+
+MAX_SIDE_RATIO = 1.5
+"""Largest ratio of the sides of two markers of an image of which one makes the other more likely. Chosen: the
+markers of a team have one size, and a tilted camera sees neighbours about as large."""
 
 MAX_UNEXPLAINED_SHARE = 0.5
 """Largest share of bits that a robust fit may leave unexplained. Measured under glare over markers of 48 px:
@@ -98,17 +103,37 @@ def decide(
     dictionary: str,
     fits: FitResults,
     good: BoolArray,
-    rows: IntArray,
-    odds: MarkerOdds,
-    edges: EdgeFits,
+    weighed: Weighed,
     plane: Plane,
     known_plane: Plane,
+    known_sides_px: Array,
     noises: Noises,
 ) -> tuple[FitResults, BoolArray, Plane]:
-    """Accept likely markers, those at indices `rows` (K,), by a fit to ground, a robust fit or their edges.
+    """Accept likely markers by a fit to ground, a robust fit or their edges.
 
-    Returned are the fits, which (N,) are accepted, and the plane.
+    Args:
+        image: that was fitted, grey, (height, width).
+        dictionary: of the markers.
+        fits: of N candidates.
+        good: (N,) which are accepted already.
+        weighed: evidence for others, by their row among the fits.
+        plane: that the markers lie on.
+        known_plane: that of other markers of the image.
+        known_sides_px: (M,) sides of other markers of the image, px.
+        noises: of the image.
+
+    Returns:
+        The fits, which of them (N,) are accepted, and the plane.
     """
+    others_px = np.concatenate([known_sides_px, fits.take(good).homographies.sides_px()])
+    has_like = _have_like(dictionary, weighed, others_px)
+    least = min_log_odds(dictionary, robust=True, has_like=has_like)
+    likely = np.flatnonzero(~good[weighed.rows] & (weighed.odds.log_odds >= least))
+    if not likely.size:
+        return fits, good, plane
+    weighed = weighed.take(likely)
+    rows, odds = weighed.rows, weighed.odds
+    edges = weighed.edges.turned(odds.turns)
     read = replace(fits.take(rows), ids=odds.ids, blacks=odds.blacks, contrasts=odds.contrasts)
     ground, on_ground, plane = _on_ground(
         image, dictionary, read, edges, fits.take(good), plane, noises.image
@@ -119,11 +144,20 @@ def decide(
         return fits, good, plane
     read, edges = read.take(others), edges.take(others)
     measured = _measured(image, dictionary, read, known_plane, noises.verified, edges)
-    is_sure = odds.log_odds[others] >= min_log_odds(dictionary)
-    accepted = is_sure | (measured.qualities == Quality.ROBUST)
+    is_robust = measured.qualities == Quality.ROBUST
+    least = min_log_odds(dictionary, robust=is_robust, has_like=has_like[likely[others]])
+    accepted = odds.log_odds[others] >= least
     if code_distance(dictionary) < STRONG_DISTANCE:
         accepted &= np.abs(measured.homographies.keystones()) <= MAX_KEYSTONE
     return *replaced(fits, good, rows[others[accepted]], measured.take(accepted)), plane
+
+
+def _have_like(dictionary: str, weighed: Weighed, others_px: Array) -> BoolArray:
+    """Return which candidates (N,) have a marker of like size: clear, or with a side among (M,), px."""
+    sides_px = sides_of_corners(weighed.edges.corners_px)
+    is_clear = weighed.odds.log_odds >= clear_log_odds(dictionary)
+    ratios = sides_px[:, None] / np.concatenate([others_px, sides_px[is_clear]])
+    return np.asarray((np.maximum(ratios, 1 / ratios) <= MAX_SIDE_RATIO).any(axis=1))
 
 
 def _on_ground(

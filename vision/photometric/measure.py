@@ -7,7 +7,8 @@
    then with a perspective of its own; and all under a streak of motion if the image has one.
 5. *Decide* about the rest by their log odds: a marker beyond doubt is reported though no fit explains its
    pixels. It is measured by a robust fit, or by its edges where that disagrees with them. A robust fit is
-   evidence too, and with one lower log odds suffice. `FitResults.qualities` says which. This step also
+   evidence too, and so is another marker of like size in the image: with either lower log odds suffice.
+   `FitResults.qualities` says which measured it. This step also
    accepts markers whose fit was refused for its blur.
 
 Markers without a white card are fitted to the ground around them, in step 2 and in step 5 (`cards`).
@@ -37,7 +38,6 @@ from skyherd.vision.photometric.candidates import (
 )
 from skyherd.vision.photometric.cards import refit_without_cards
 from skyherd.vision.photometric.covered import refit_covered
-from skyherd.vision.photometric.evidence.likelihood import min_log_odds
 from skyherd.vision.photometric.fitting.common_unknowns import OWN_PLANES
 from skyherd.vision.photometric.fitting.fit import USUAL_NOISE, image_middle
 from skyherd.vision.photometric.fitting.fit_result import FitResults, replaced, weighted_median
@@ -74,6 +74,9 @@ sharpened images are lost."""
 GREY_LEVELS = 256.0
 """Grey levels, so that `noise / GREY_LEVELS` is below 1 and ranks fits of one quality."""
 
+NO_SIDES_PX = np.zeros(0)
+"""Sides of other markers where none are known."""
+
 MIN_REFIT_LOG_ODDS = 0.0
 """Log odds below which what is not verified is not refitted. Derived: something else is then more likely. A
 refit masks what it does not explain, and would also explain a light rectangle as marker 17. Measured: of 641
@@ -87,11 +90,12 @@ def measure_candidates(
     quads_px: Array,
     candidates: DecodedQuads,
     known_plane: Plane = OWN_PLANES,
+    known_sides_px: Array = NO_SIDES_PX,
 ) -> SearchPass:
     """Return candidates fitted, verified and decided about, with the quadrilaterals that they are from.
 
-    `known_plane` is that of other markers of the image, as far as they show it. Without an accepted marker
-    the plane stays that of the state.
+    `known_plane` is that of other markers of the image, as far as they show it, and `known_sides_px` (M,) are
+    their sides. Without an accepted marker the plane stays that of the state.
     """
     if not candidates.ids.size:
         return SearchPass.empty(dictionary, state.plane, quads_px)
@@ -99,7 +103,7 @@ def measure_candidates(
     start = on_plane(start, state.plane, image_middle(image))
     fits, plane = _fit(image, dictionary, state, candidates.ids, start)
     fits, good, plane, weighed = verify_and_refit(
-        image, dictionary, fits, plane, start, candidates.corners_px, known_plane
+        image, dictionary, fits, plane, start, candidates.corners_px, known_plane, known_sides_px
     )
     parts = np.zeros(good.size, dtype=bool)
     if code_distance(dictionary) < STRONG_DISTANCE:
@@ -145,6 +149,7 @@ def verify_and_refit(
     start: LocalHomographies,
     corners_px: Array,
     known_plane: Plane = OWN_PLANES,
+    known_sides_px: Array = NO_SIDES_PX,
 ) -> tuple[FitResults, BoolArray, Plane, Weighed]:
     """Verify fits, refit those that are not verified, and decide about the rest by likelihood.
 
@@ -159,6 +164,7 @@ def verify_and_refit(
         start: (N,) where the fits began.
         corners_px: (N, 4, 2) corners of the markers' quadrilaterals, px.
         known_plane: of other markers of the image; it counts if these fits are too few to show theirs.
+        known_sides_px: (M,) sides of other markers of the image, px.
 
     Returns:
         The measurements, which of them (N,) are accepted, the plane, and the evidence for those that were not
@@ -189,10 +195,8 @@ def verify_and_refit(
     if plane.shared:
         fits, good = _refit_off_plane(image, dictionary, fits, good, start, worth, noises)
     fits, good, plane = with_streak(image, dictionary, fits, good, plane, worth)
-    likely = np.flatnonzero(~good[rest] & (odds.log_odds >= min_log_odds(dictionary, robust=True)))
-    if likely.size:
-        given = rest[likely], odds.take(likely), edges.take(likely).turned(odds.turns[likely])
-        fits, good, plane = decide(image, dictionary, fits, good, *given, plane, known_plane, noises)
+    known = plane, known_plane, known_sides_px
+    fits, good, plane = decide(image, dictionary, fits, good, weighed, *known, noises)
     return fits, good, plane, weighed
 
 

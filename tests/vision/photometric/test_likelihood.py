@@ -76,9 +76,23 @@ def test_thresholds_are_below_the_most_that_bits_can_show() -> None:
     assert clear_log_odds("4X4_50") == pytest.approx(most - likelihood.MAX_DOUBT)
     assert clear_log_odds("4X4_250") == pytest.approx(clear_log_odds("4X4_50") - math.log(5))
     assert clear_log_odds("APRILTAG_36h11") == likelihood.CLEAR_LOG_ODDS
-    assert min_log_odds("4X4_50") == min_log_odds("APRILTAG_36h11") == likelihood.MIN_LOG_ODDS
-    assert min_log_odds("4X4_50", robust=True) == likelihood.MIN_ROBUST_LOG_ODDS
-    assert min_log_odds("4X4_1000") == min_log_odds("4X4_1000", robust=True) == clear_log_odds("4X4_1000")
+    assert min_log_odds("APRILTAG_36h11") == likelihood.MIN_LOG_ODDS
+    assert min_log_odds("4X4_50") == clear_log_odds("4X4_50")
+
+
+def test_further_evidence_adds_log_odds() -> None:
+    """Not for dictionaries whose markers cannot have the odds of the constant."""
+    robust, like = likelihood.ROBUST_LOG_ODDS, likelihood.LIKE_LOG_ODDS
+    for dictionary in ("4X4_50", "APRILTAG_36h11"):
+        some = min_log_odds(dictionary, robust=np.array([True, False]), has_like=np.array([False, True]))
+        np.testing.assert_allclose(some, likelihood.MIN_LOG_ODDS - np.array([robust, like]))
+        assert least_log_odds(dictionary) == pytest.approx(likelihood.MIN_LOG_ODDS - robust - like)
+    assert least_log_odds("4X4_1000") == min_log_odds("4X4_1000") == clear_log_odds("4X4_1000")
+
+
+def least_log_odds(dictionary: str) -> float:
+    """The log odds of a candidate with all further evidence."""
+    return float(min_log_odds(dictionary, robust=True, has_like=True))
 
 
 @pytest.mark.parametrize("turn", range(4))
@@ -97,7 +111,7 @@ def test_one_wrong_bit_of_16_is_refused(seed) -> None:
     cells = marker_cells("4X4_50", int(rng.integers(50)))
     wrong = flipped(cells, tuple(rng.integers(1, 5, 2)))
     odds = marker_odds(noisy(card(wrong), seed), corners(6), "4X4_50")
-    assert odds.log_odds[0] < min_log_odds("4X4_50") - 2
+    assert odds.log_odds[0] < least_log_odds("4X4_50")
 
 
 def test_two_wrong_bits_of_36_are_accepted_and_six_refused() -> None:
@@ -107,7 +121,7 @@ def test_two_wrong_bits_of_36_are_accepted_and_six_refused() -> None:
         marker_odds(noisy(card(flipped(cells, *bits[:count])), 3), corners(8), "APRILTAG_36h11").log_odds[0]
         for count in (0, 2, 6)
     )
-    assert min(none, two) > clear_log_odds("APRILTAG_36h11") and six < min_log_odds("APRILTAG_36h11")
+    assert min(none, two) > clear_log_odds("APRILTAG_36h11") and six < least_log_odds("APRILTAG_36h11")
 
 
 @pytest.mark.parametrize("spot_cells", [(3.0, 5.0), (2.2, 5.4), (1.8, 6.6)])
@@ -122,7 +136,7 @@ def test_bits_under_glare_count_neither_for_nor_against(spot_cells, monkeypatch)
     assert odds.ids[0] == 40 and odds.log_odds[0] > clear_log_odds("APRILTAG_36h11")
     monkeypatch.setattr(readings_module, "SATURATED", 300.0)
     refused = marker_odds(image, corners(8), "APRILTAG_36h11")
-    assert refused.log_odds[0] < min_log_odds("APRILTAG_36h11") - 1
+    assert refused.log_odds[0] < least_log_odds("APRILTAG_36h11")
 
 
 def test_log_odds_do_not_depend_on_light() -> None:
@@ -181,7 +195,7 @@ def test_light_rectangles_in_dark_squares_are_refused(box) -> None:
     levels = card(np.zeros((6, 6), dtype=bool))
     levels[top:bottom, left:right] = 200.0
     odds = marker_odds(noisy(cv2.GaussianBlur(levels, (0, 0), BLUR_PX), 4), corners(6), "4X4_50")
-    assert odds.log_odds[0] < min_log_odds("4X4_50")
+    assert odds.log_odds[0] < least_log_odds("4X4_50")
 
 
 @pytest.mark.parametrize("marker", range(0, 50, 3))
@@ -193,7 +207,7 @@ def test_overexposed_markers_are_read_and_wrong_bits_refused(marker) -> None:
     right, other = (
         marker_odds(noisy(3 * card(bits), marker), square, "4X4_50").log_odds[0] for bits in (cells, wrong)
     )
-    assert right > clear_log_odds("4X4_50") and other < min_log_odds("4X4_50") - 2
+    assert right > clear_log_odds("4X4_50") and other < least_log_odds("4X4_50")
 
 
 def fine(levels: np.ndarray) -> np.ndarray:
@@ -216,7 +230,7 @@ def test_light_rectangle_like_marker_17_is_refused(box, blur_px) -> None:
     levels[top:bottom, left:right] = 200.0
     small = cv2.resize(levels, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
     odds = marker_odds(noisy(cv2.GaussianBlur(small, (0, 0), blur_px), 1), corners(6), "4X4_50")
-    assert odds.ids[0] == 17 and odds.log_odds[0] < min_log_odds("4X4_50")
+    assert odds.ids[0] == 17 and odds.log_odds[0] < least_log_odds("4X4_50")
     assert odds.against[0, [0, 1, 3]].min() > clear_log_odds("4X4_50") - 0.5
 
 
@@ -246,7 +260,7 @@ def test_light_rectangle_on_a_narrow_card_is_refused(box, margin_cells, ground, 
     """The ground beyond the card does not count against the rectangle alone."""
     image = light_rectangle(box, margin_cells, ground, 240, light, blur_px)
     odds = marker_odds(image, corners(6), "4X4_50")
-    assert odds.ids[0] == 17 and odds.log_odds[0] < min_log_odds("4X4_50")
+    assert odds.ids[0] == 17 and odds.log_odds[0] < least_log_odds("4X4_50")
     assert odds.against[0, [0, 1, 3]].min() > clear_log_odds("4X4_50") - 0.5
 
 
@@ -313,7 +327,7 @@ def test_lines_are_not_looked_for_where_blur_leaves_no_hope(monkeypatch) -> None
     odds = marker_odds(*given)
     assert odds.ids[0] == 7 and odds.ceilings[0] < min_log_odds("4X4_50", robust=True)
     assert not asked
-    monkeypatch.setattr(likelihood, "MIN_ROBUST_LOG_ODDS", -np.inf)
+    monkeypatch.setattr(likelihood, "ROBUST_LOG_ODDS", np.inf)
     marker_odds(*given)
     assert asked, "the negative control"
 
@@ -348,7 +362,7 @@ def test_shaded_half_of_a_marker_is_not_taken_for_black() -> None:
     for angle in np.linspace(0, 2 * np.pi, 12, endpoint=False):
         beyond = np.cos(angle) * (columns - middle) + np.sin(angle) * (rows - middle) > 1.5
         odds = marker_odds(noisy(np.where(beyond, 0.25 * levels, levels), 5), corners(6), "4X4_50")
-        assert odds.ids[0] == 8 or odds.log_odds[0] < min_log_odds("4X4_50")
+        assert odds.ids[0] == 8 or odds.log_odds[0] < least_log_odds("4X4_50")
 
 
 def random_readings(n: int, count: int, each: int, rng: np.random.Generator) -> tuple[Readings, np.ndarray]:

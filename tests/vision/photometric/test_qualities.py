@@ -77,9 +77,9 @@ def found_under(change, place_markers, draw_markers) -> dict[tuple[int, int], in
 
 
 def test_doubtful_markers_need_pixels_that_agree(place_markers, draw_markers, monkeypatch):
-    """Without the lower threshold for robust fits fewer are found, and without robust fits no more."""
+    """Without the odds that a robust fit adds fewer are found, and without robust fits no more."""
     found = found_under(dazzled, place_markers, draw_markers)
-    monkeypatch.setattr(likelihood, "MIN_ROBUST_LOG_ODDS", likelihood.MIN_LOG_ODDS)
+    monkeypatch.setattr(likelihood, "ROBUST_LOG_ODDS", 0.0)
     sure = found_under(dazzled, place_markers, draw_markers)
     assert sure.keys() < found.keys() and len(found) >= len(sure) + 5
     assert {found[one] for one in found.keys() - sure.keys()} == {Quality.ROBUST}
@@ -99,11 +99,15 @@ def test_fits_that_agree_with_the_edges_count(place_markers, draw_markers, monke
 
 
 def test_markers_under_bands_of_light_are_found_by_their_edges(place_markers, draw_markers, monkeypatch):
-    """Of 48 at least 46. Odds of clear markers, a control, would leave fewer than 43."""
+    """Of 48 at least 46. Without the odds that others of like size add, a control, fewer than 43."""
     found = found_under(banded, place_markers, draw_markers)
     assert len(found) >= 46 and list(found.values()).count(Quality.CORNERS) >= 20
-    monkeypatch.setattr(likelihood, "MIN_LOG_ODDS", likelihood.CLEAR_LOG_ODDS)
-    assert len(found_under(banded, place_markers, draw_markers)) < 43
+    monkeypatch.setattr(likelihood, "LIKE_LOG_ODDS", 0.0)
+    fewer = found_under(banded, place_markers, draw_markers)
+    assert len(fewer) < 43
+    monkeypatch.undo()
+    monkeypatch.setattr(likely, "MAX_SIDE_RATIO", 0.9)  # no marker is like another one
+    assert found_under(banded, place_markers, draw_markers).keys() == fewer.keys()
 
 
 @pytest.mark.parametrize("dictionary", ["4X4_50", "4X4_1000", "5X5_100", "APRILTAG_36h11"])

@@ -19,11 +19,12 @@ def test_plane_goes_to_a_shrunk_image_and_back():
 
 @pytest.mark.parametrize("count", [3, 4])
 def test_fallback_search_knows_the_plane_of_four_markers(place_markers, draw_markers, monkeypatch, count):
-    """Four markers of the first search show it, and three do not."""
-    known = []
+    """Four markers of the first search show it, and three do not. Their sides are known in either case."""
+    known, sides = [], []
 
     def measured(*given):
-        known.append(given[-1])
+        known.append(given[5])
+        sides.append(given[6].size)
         return measure(*given)
 
     measure = detector_module.measure_candidates
@@ -34,5 +35,5 @@ def test_fallback_search_knows_the_plane_of_four_markers(place_markers, draw_mar
     image = draw_markers(matrices, list(range(count)), (220, 210), np.random.default_rng(1), noise=1.0)
     first, _ = PhotometricDetector("4X4_50", following=False).searches(image)
     assert sorted(first.found.ids) == list(range(count))
-    assert [plane.shared for plane in known] == [False, count == 4]
+    assert [plane.shared for plane in known] == [False, count == 4] and sides == [0, count]
     assert count == 3 or (known[1] == first.plane != Plane())

@@ -51,10 +51,11 @@ from skyherd.vision.row_record import RowRecord
 BITS_ODDS, RECTANGLES_ODDS, GRIDS_ODDS = 0.05, 0.03, 0.05
 """Prior odds of each kind of clutter against a marker. Chosen."""
 
-MIN_LOG_ODDS, MIN_ROBUST_LOG_ODDS = 7.0, 6.4
-"""Log odds from which on a candidate is accepted: 1,100 to 1 if its edges alone measure it, 600 to 1 if its
-pixels agree on a pose, by a robust fit. Three bits of 4X4_50 may be unreadable then, which leave 6.44. Chosen
-with other seeds than those of the tables: `docs/conditions.md` has recall and clutter at other thresholds."""
+MIN_LOG_ODDS, ROBUST_LOG_ODDS, LIKE_LOG_ODDS = 8.2, 1.8, 1.2
+"""Log odds from which on a candidate is accepted, 3,600 to 1, and what two kinds of further evidence add: a
+robust fit, by which its pixels agree on a pose, and another marker of like size in the image. All bits of
+4X4_50 must be readable without these, 13 of 16 with the first, 12 with both. Chosen with other seeds than
+those of the tables: `docs/conditions.md` has recall and clutter at other values."""
 
 CLEAR_LOG_ODDS, MAX_DOUBT = 9.0, 0.27
 """Log odds from which on nothing that may lie on a candidate is looked for. Where a dictionary has too few
@@ -147,14 +148,18 @@ def _most_log_odds(dictionary: str, resolved_share: float) -> float:
     return bits * math.log(2 * (1 - SPOILT_CELLS)) - tried - math.log(BITS_ODDS)
 
 
-def min_log_odds(dictionary: str, *, robust: bool = False) -> float:
-    """Return the log odds from which on a candidate is accepted as a marker of a dictionary.
+def min_log_odds(
+    dictionary: str, *, robust: bool | BoolArray = False, has_like: bool | BoolArray = False
+) -> Array:
+    """Return the log odds () or (N,) from which on candidates are accepted as markers of a dictionary.
 
     Args:
         dictionary: of the markers.
-        robust: whether a robust fit measures the candidate.
+        robust: () or (N,) whether a robust fit measures the candidate.
+        has_like: () or (N,) whether the image has another marker of like size.
     """
-    return min(MIN_ROBUST_LOG_ODDS if robust else MIN_LOG_ODDS, clear_log_odds(dictionary))
+    evidence = ROBUST_LOG_ODDS * np.asarray(robust) + LIKE_LOG_ODDS * np.asarray(has_like)
+    return np.minimum(MIN_LOG_ODDS - evidence, clear_log_odds(dictionary))
 
 
 def clear_log_odds(dictionary: str) -> float:

@@ -3,7 +3,20 @@
 
 #include <string.h>
 
-enum { PART_PX = 5 };
+/* Windows of the threshold, px, and how far its pixels are from the ones that they depend on. */
+enum {
+    SMOOTHING_PX = 3,
+    SHARPENING_PX = 5,
+    SMALL_WINDOW_PX = 9,
+    LARGE_REACH_PX = LARGE_WINDOW_PX / 2,
+    SHARP_REACH_PX = LARGE_REACH_PX + 2 * (SHARPENING_PX / 2),
+};
+
+/* Rows ahead that are loaded into the cache. Chosen: those of a microsecond, more than memory takes. */
+enum { CACHE_LINE_BYTES = 64, ROWS_AHEAD = 8 };
+
+/* Grey levels that are above the range, so that no mean reaches them. */
+enum { ABOVE_ALL = 256 };
 
 /* Return the index of `at` within 0..length-1, mirrored at the ends without repeating them. */
 static int32_t mirrored(int32_t at, int32_t length) {
@@ -15,162 +28,122 @@ static int32_t mirrored(int32_t at, int32_t length) {
     return rest <= last ? rest : 2 * last - rest;
 }
 
-static void add_row(uint16_t *restrict sums, const uint8_t *restrict row, int32_t width) {
-    for (int32_t x = 0; x < width; x++) sums[x] = (uint16_t)(sums[x] + row[x]);
+/* A grey image. */
+typedef struct { const uint8_t *pixels; int32_t width, height; } Image;
+
+/* Load the pixels of a row that is read soon into the cache: processors expect one row after the other, not a strip. */
+static void prefetch_row(const Image *image, int32_t y, int32_t first, int32_t count) {
+    if (y < 0 || y >= image->height) return;
+    const uint8_t *line = image->pixels + (ptrdiff_t)y * image->width;
+    const int32_t from = first < 0 ? 0 : first, to = first + count < image->width ? first + count : image->width;
+    for (int32_t x = from; x < to; x += CACHE_LINE_BYTES) __builtin_prefetch(line + x);
 }
 
-static void replace_row(uint16_t *restrict sums, const uint8_t *restrict added, const uint8_t *restrict removed,
-                        int32_t width) {
-    for (int32_t x = 0; x < width; x++) sums[x] = (uint16_t)(sums[x] + added[x] - removed[x]);
+/* Read `count` pixels of row y from column `first` on; both may be beyond the border, where the image is mirrored. */
+static void read_row(const Image *image, int32_t y, int32_t first, int32_t count, uint16_t *restrict row) {
+    const uint8_t *restrict line = image->pixels + (ptrdiff_t)mirrored(y, image->height) * image->width;
+    prefetch_row(image, y + ROWS_AHEAD, first, count);
+    const int32_t from = first < 0 ? -first : 0, rest = image->width - first, to = rest < count ? rest : count;
+    for (int32_t i = from; i < to; i++) row[i] = line[first + i];
+    for (int32_t i = 0; i < from; i++) row[i] = line[mirrored(first + i, image->width)];
+    for (int32_t i = to; i < count; i++) row[i] = line[mirrored(first + i, image->width)];
 }
 
-/* Sums over `window_px` neighbours; the callers pass a constant, so that the inner loop is unrolled. */
-static inline __attribute__((always_inline)) void sum_neighbours(const uint16_t *restrict columns,
-                                                                 uint16_t *restrict sums, int32_t count,
-                                                                 int32_t window_px) {
+/* Move sums over the rows of a window down by a row. */
+static void slide(uint16_t *restrict sums, const uint16_t *restrict added, const uint16_t *restrict removed, int32_t count) {
+    for (int32_t x = 0; x < count; x++) sums[x] = (uint16_t)(sums[x] + added[x] - removed[x]);
+}
+
+/* Return the sum of `window_px` neighbours; the callers pass a constant, so that it is unrolled. */
+static inline __attribute__((always_inline)) uint16_t sum_of(const uint16_t *first, int32_t window_px) {
+    uint16_t sum = first[0];
+    for (int32_t k = 1; k < window_px; k++) sum = (uint16_t)(sum + first[k]);
+    return sum;
+}
+
+/* Return the mean of a small window: floor((sum + area / 2) / area), by a multiplication with 2^(16 + shift) / area, rounded
+ * up. It is exact for sums up to 255 * area: its relative error is below 1 / (255 * area + area / 2). */
+static inline __attribute__((always_inline)) uint16_t mean_of(const uint16_t *first, int32_t window_px, int32_t shift) {
+    const uint32_t area = (uint32_t)(window_px * window_px), factor = ((1u << (16 + shift)) + area - 1) / area;
+    const uint16_t sum = (uint16_t)(sum_of(first, window_px) + area / 2);
+    return (uint16_t)((uint16_t)((sum * factor) >> 16) >> shift);
+}
+
+/* Write the means over a box of the unsharp mask, from sums over its rows. */
+static void mean_row(const uint16_t *restrict sums, uint16_t *restrict means, int32_t count) {
+    for (int32_t x = 0; x < count; x++) means[x] = mean_of(sums + x, SHARPENING_PX, 4);
+}
+
+/* Sharpen by an unsharp mask: twice the smooth row less the wide mean, within 0 to 255. Both come from sums over rows. */
+static void sharpen_row(const uint16_t *restrict smooth_sums, const uint16_t *restrict wide_sums, uint16_t *restrict sharp,
+                        int32_t count) {
     for (int32_t x = 0; x < count; x++) {
-        uint16_t sum = columns[x];
-        for (int32_t k = 1; k < window_px; k++) sum = (uint16_t)(sum + columns[x + k]);
-        sums[x] = sum;
-    }
-}
-
-/* Means of a small window: floor((sum + area / 2) / area), by a multiplication with 2^(16 + shift) / area, rounded up.
- * It is exact for sums up to 255 * area: its relative error is below 1 / (255 * area + area / 2). */
-static inline __attribute__((always_inline)) void small_window_means(const uint16_t *restrict columns,
-                                                                     uint8_t *restrict means, int32_t width,
-                                                                     int32_t window_px, int32_t shift) {
-    const uint32_t area = (uint32_t)(window_px * window_px);
-    const uint32_t factor = ((1u << (16 + shift)) + area - 1) / area;
-    for (int32_t x = 0; x < width; x++) {
-        uint16_t sum = (uint16_t)(area / 2);
-        for (int32_t k = 0; k < window_px; k++) sum = (uint16_t)(sum + columns[x + k]);
-        means[x] = (uint8_t)((uint16_t)((sum * factor) >> 16) >> shift);
-    }
-}
-
-/* Means of the large window, from sums over parts of five columns. Sums of 11 columns fit 16 bits, those of 21 do not.
- * Single precision is exact enough: sum / 441 differs from a half by 1 / 882 at least, the product's error is 3e-5. */
-static void large_window_means(const uint16_t *restrict columns, const uint16_t *restrict parts,
-                               uint8_t *restrict means, int32_t width) {
-    const float share = 1.0f / (LARGE_WINDOW_PX * LARGE_WINDOW_PX);
-    for (int32_t x = 0; x < width; x++) {
-        const uint16_t left = (uint16_t)(parts[x] + parts[x + PART_PX]);
-        const uint16_t right = (uint16_t)(parts[x + 2 * PART_PX] + parts[x + 3 * PART_PX] + columns[x + 4 * PART_PX]);
-        means[x] = (uint8_t)(int32_t)((float)((int32_t)left + right) * share + 0.5f);
-    }
-}
-
-static int is_compiled(int32_t window_px) {
-    return window_px == 3 || window_px == 5 || window_px == 9 || window_px == LARGE_WINDOW_PX;
-}
-
-/* Compute the means of one row from the sums of its columns, which begin `window_px / 2` left of the image. */
-static void row_means(const uint16_t *columns, uint16_t *parts, int32_t width, int32_t window_px, uint8_t *means) {
-    switch (window_px) {
-    case 3: small_window_means(columns, means, width, 3, 3); break;
-    case 5: small_window_means(columns, means, width, 5, 4); break;
-    case 9: small_window_means(columns, means, width, 9, 6); break;
-    default:
-        sum_neighbours(columns, parts, width + 3 * PART_PX, PART_PX);
-        large_window_means(columns, parts, means, width);
-    }
-}
-
-/* Rows of a plane: all of them, or the last ones in a ring. */
-typedef struct { const uint8_t *pixels; ptrdiff_t stride; int32_t last_index; } Rows;
-
-static inline const uint8_t *row_at(const Rows *rows, int32_t y) {
-    return rows->pixels + (y & rows->last_index) * rows->stride;
-}
-
-/* Rows that a step of the threshold reads, their size, and sums over the columns of a window about the row at hand. */
-typedef struct { Rows from; int32_t width, height, window_px; uint16_t *padded, *parts; } Box;
-
-/* Compute the sums over the columns of a box about row y. The rows are to be asked for one after the other. */
-static void sum_columns(const Box *box, int32_t y) {
-    const int32_t reach = box->window_px / 2, width = box->width, height = box->height;
-    uint16_t *columns = box->padded + reach;
-    if (y == 0) {
-        memset(columns, 0, (size_t)width * sizeof *columns);
-        for (int32_t v = -reach; v <= reach; v++) add_row(columns, row_at(&box->from, mirrored(v, height)), width);
-    } else {
-        const uint8_t *added = row_at(&box->from, mirrored(y + reach, height));
-        replace_row(columns, added, row_at(&box->from, mirrored(y - reach - 1, height)), width);
-    }
-    for (int32_t x = 1; x <= reach; x++) {
-        columns[-x] = columns[mirrored(-x, width)];
-        columns[width - 1 + x] = columns[mirrored(width - 1 + x, width)];
-    }
-}
-
-/* Compute the means over a box around pixels `from <= x < to` of the row whose columns are summed. */
-static void box_means(const Box *box, int32_t from, int32_t to, uint8_t *means) {
-    row_means(box->padded + from, box->parts, to - from, box->window_px, means + from);
-}
-
-/* Compute the means over a box around each pixel of row y. */
-static void box_row(const Box *box, int32_t y, uint8_t *means) {
-    sum_columns(box, y);
-    box_means(box, 0, box->width, means);
-}
-
-/* Sharpen by an unsharp mask: twice the smooth row less the wide mean, within 0 to 255. */
-static void sharpen(const uint8_t *restrict smooth, const uint8_t *restrict wide, uint8_t *restrict sharp,
-                    int32_t width) {
-    for (int32_t x = 0; x < width; x++) {
-        int16_t value = (int16_t)(2 * smooth[x] - wide[x]);
+        const uint16_t smooth = mean_of(smooth_sums + x, SMOOTHING_PX, 3), wide = mean_of(wide_sums + x, SHARPENING_PX, 4);
+        int16_t value = (int16_t)(2 * smooth - wide);
         value = value < 0 ? 0 : value;
-        sharp[x] = (uint8_t)(value > 255 ? 255 : value);
+        sharp[x] = (uint16_t)(value > 255 ? 255 : value);
     }
 }
 
-/* Write as 255 the pixels of a row that are darker than the larger of two means, and the others as 0. */
-static void compare(const uint8_t *small, const uint8_t *large, const uint8_t *restrict sharp, uint8_t *restrict dark,
-                    int32_t width, int32_t darker) {
-    for (int32_t x = 0; x < width; x++) {
-        const uint8_t mean = small[x] > large[x] ? small[x] : large[x];
-        dark[x] = (int16_t)(mean - sharp[x]) > (int16_t)darker ? DARK : 0;
+/* Write sums over five neighbours. */
+static void sum_fives(const uint16_t *restrict sums, uint16_t *restrict fives, int32_t count) {
+    for (int32_t x = 0; x < count; x++) fives[x] = sum_of(sums + x, 5);
+}
+
+/* Return whether the mean over the large window is at least `least` grey levels: sum + area / 2 >= least * area.
+ *
+ * The sum has 17 bits. It is that of 10 columns and of 11, whose half is floor(a / 2 + b / 2), and a bit that is left. */
+static inline uint16_t is_brighter(const uint16_t *fives, const uint16_t *sums, uint16_t least) {
+    enum { AREA = LARGE_WINDOW_PX * LARGE_WINDOW_PX };
+    const uint16_t a = (uint16_t)(fives[0] + fives[5]), b = (uint16_t)(fives[10] + fives[15] + sums[20] + AREA / 2);
+    const uint16_t half = (uint16_t)((a & b) + ((uint16_t)(a ^ b) >> 1)), odd = (a ^ b) & 1;
+    return half >= (uint16_t)(AREA / 2 * least + ((uint16_t)(least + 1 - odd) >> 1));
+}
+
+/* Write as 255 the pixels of a row that are darker than the mean of either window, and the others as 0.
+ *
+ * small and large are sums over the rows of the windows, from the first column of the first pixel's window on. */
+static void compare(const uint16_t *restrict small, const uint16_t *restrict large, const uint16_t *restrict fives,
+                    const uint16_t *restrict sharp, uint8_t *restrict dark, int32_t count, int32_t darker) {
+    enum { AREA = SMALL_WINDOW_PX * SMALL_WINDOW_PX };
+    for (int32_t x = 0; x < count; x++) {
+        uint16_t least = (uint16_t)(sharp[x] + darker + 1);
+        least = least < ABOVE_ALL ? least : ABOVE_ALL;
+        const uint16_t sum = (uint16_t)(sum_of(small + x, SMALL_WINDOW_PX) + AREA / 2);
+        dark[x] = (sum >= (uint16_t)(AREA * least)) | is_brighter(fives + x, large + x, least) ? DARK : 0;
     }
 }
 
-/* Boxes of one image: two of the unsharp mask, one after the other, that of the noise filter, and both windows. */
-enum { SHARPENING, SHARPENING_AGAIN, SMOOTHING, SMALL_WINDOW, LARGE_WINDOW };
-
-/* Steps of the threshold, and how many rows of either ring have been computed. */
-typedef struct { Box boxes[BOXES]; int32_t mean_rows, sharp_rows; } ThresholdSteps;
-
-static int begin_steps(const uint8_t *image, int32_t width, int32_t height, const SearchParameters *parameters,
-                       const Workspace *work, ThresholdSteps *steps) {
-    const Rows all = {image, width, INT32_MAX}, means = {work->means, width, MEAN_ROWS - 1},
-               sharp = {work->sharp, width, SHARP_ROWS - 1};
-    const Rows from[BOXES] = {all, means, all, sharp, sharp};
-    const int32_t windows[BOXES] = {parameters->sharpening_px, parameters->sharpening_px, parameters->smoothing_px,
-                                    parameters->small_window_px, parameters->large_window_px};
-    for (int i = 0; i < BOXES; i++) {
-        const int32_t most = i == SHARPENING_AGAIN ? MEAN_ROWS - 2 : LARGE_WINDOW_PX;
-        if (windows[i] > most || !is_compiled(windows[i])) return INVALID_PARAMETERS;
-        uint16_t *padded = work->column_sums + i * (width + 2 * LARGE_WINDOW_PX);
-        steps->boxes[i] = (Box){from[i], width, height, windows[i], padded, work->window_sums};
+/* Write as 255 the pixels of a row that are darker than the mean of the large window, and the others as 0. */
+static void compare_large(const uint16_t *restrict large, const uint16_t *restrict fives, const uint16_t *restrict grey,
+                          uint8_t *restrict dark, int32_t count, int32_t darker) {
+    for (int32_t x = 0; x < count; x++) {
+        uint16_t least = (uint16_t)(grey[x] + darker + 1);
+        least = least < ABOVE_ALL ? least : ABOVE_ALL;
+        dark[x] = is_brighter(fives + x, large + x, least) ? DARK : 0;
     }
-    steps->mean_rows = steps->sharp_rows = 0;
-    return 0;
 }
 
-/* Compute the next row of the sharpened image, and the rows of means that it needs. */
-static void next_sharp_row(const Workspace *work, ThresholdSteps *steps) {
-    const Box *boxes = steps->boxes;
-    const int32_t y = steps->sharp_rows++, width = boxes[0].width, height = boxes[0].height;
-    const int32_t last = y + boxes[SHARPENING_AGAIN].window_px / 2;
-    for (; steps->mean_rows <= last && steps->mean_rows < height; steps->mean_rows++)
-        box_row(boxes + SHARPENING, steps->mean_rows, work->means + steps->mean_rows % MEAN_ROWS * (ptrdiff_t)width);
-    box_row(boxes + SHARPENING_AGAIN, y, work->wide);
-    box_row(boxes + SMOOTHING, y, work->smooth);
-    sharpen(work->smooth, work->wide, work->sharp + y % SHARP_ROWS * (ptrdiff_t)width, width);
+/* Clear the pixels outside of the places, `kept`, a row of half the size. */
+static void keep_places(uint8_t *restrict row, const uint8_t *restrict kept, int32_t count) {
+    for (int32_t x = 0; x < count / 2; x++) {
+        row[2 * x] &= kept[x];
+        row[2 * x + 1] &= kept[x];
+    }
 }
 
-/* Pixels `from <= x < to` of a row; `from` is a multiple of 64, and so is `to` unless it is the end of the row. */
-typedef struct { int32_t from, to; } Segment;
+/* Write `count` pixels, 0 or 255, as bits; what is beyond them up to a multiple of 64 is to be 0. */
+static void pack(const uint8_t *restrict pixels, uint8_t *restrict bits, int32_t count) {
+    for (int32_t byte = 0; byte < count / BITS_PER_BYTE; byte++) {
+        uint64_t eight;
+        memcpy(&eight, pixels + BITS_PER_BYTE * byte, sizeof eight);
+        eight &= 0x8040201008040201u; /* bit i of byte i */
+        eight |= eight >> 32;
+        eight |= eight >> 16;
+        eight |= eight >> 8;
+        bits[byte] = (uint8_t)eight;
+    }
+}
 
 /* Return whether 64 pixels of a row from x on have a place. `kept` is a row of the places, of half the size. */
 static int has_place(const uint8_t *kept, int32_t x, int32_t width) {
@@ -180,7 +153,10 @@ static int has_place(const uint8_t *kept, int32_t x, int32_t width) {
     return any;
 }
 
-/* Return the first segment from x on that has places all along; it is empty at the end of the row. */
+/* Pixels `from <= x < to` of a row; `from` is a multiple of 64, and so is `to` unless it is the end of the row. */
+typedef struct { int32_t from, to; } Segment;
+
+/* Return the first segment from x on that has places all along; it is empty at the end, `width`. */
 static Segment next_segment(const uint8_t *kept, int32_t x, int32_t width) {
     while (x < width && !has_place(kept, x, width)) x += BITS;
     Segment segment = {x < width ? x : width, x};
@@ -189,80 +165,135 @@ static Segment next_segment(const uint8_t *kept, int32_t x, int32_t width) {
     return segment;
 }
 
-/* Clear the pixels of a segment outside of the places. */
-static void keep_places(uint8_t *restrict row, const uint8_t *restrict kept, Segment segment) {
-    for (int32_t x = segment.from / 2; x < segment.to / 2; x++) {
-        row[2 * x] &= kept[x];
-        row[2 * x + 1] &= kept[x];
+/* What the threshold of one image reads and writes; without places all pixels count. */
+typedef struct { Image image; const uint8_t *places; int32_t darker; Workspace *work; } Threshold;
+
+/* Columns `left <= x < right` of an image, at most STRIP_PX of them. */
+typedef struct { int32_t left, right; } Strip;
+
+static int32_t rounded_up(int32_t count) { return (count + STEP_PX - 1) / STEP_PX * STEP_PX; }
+
+static const uint8_t *places_of_row(const Threshold *all, int32_t y) {
+    return all->places + (ptrdiff_t)(y / 2) * (all->image.width / 2);
+}
+
+/* Find the dark pixels of a segment of row y, after the sums over rows of both windows are about it. */
+static void threshold_segment(const Threshold *all, Strip strip, Segment segment, int32_t y) {
+    Tile *tile = all->work->tile;
+    const int32_t first = segment.from - strip.left, count = segment.to - segment.from, whole = rounded_up(count);
+    const uint16_t *large = tile->large_sums + first, *small = tile->small_sums + first + LARGE_REACH_PX - SMALL_WINDOW_PX / 2;
+    const uint16_t *sharp = tile->sharp[y & (SHARP_ROWS - 1)] + first + LARGE_REACH_PX;
+    uint8_t *dark = tile->dark, *bits = mask_row(&all->work->dark, y) + segment.from / BITS_PER_BYTE;
+    sum_fives(large, tile->fives, rounded_up(whole + LARGE_WINDOW_PX));
+    if (all->places) {
+        compare(small, large, tile->fives, sharp, dark, whole, all->darker);
+        keep_places(dark, places_of_row(all, y) + segment.from / 2, count);
+    } else {
+        compare_large(large, tile->fives, sharp, dark, whole, all->darker);
+    }
+    memset(dark + count, 0, (size_t)(STRIP_PX - count));
+    pack(dark, bits, (count + BITS - 1) / BITS * BITS);
+}
+
+/* Find the dark pixels of row y of a strip. */
+static void threshold_row(const Threshold *all, Strip strip, int32_t y) {
+    if (!all->places) {
+        threshold_segment(all, strip, (Segment){strip.left, strip.right}, y);
+        return;
+    }
+    const uint8_t *kept = places_of_row(all, y);
+    Segment segment = next_segment(kept, strip.left, strip.right);
+    for (; segment.from < strip.right; segment = next_segment(kept, segment.to, strip.right))
+        threshold_segment(all, strip, segment, y);
+}
+
+/* Compute row y of the sharpened image, and the steps before it, from the row SHARP_REACH_PX - LARGE_REACH_PX below on.
+ *
+ * The rows are to be asked for one after the other. Rings of rows are cleared before the first one; a row that no step has
+ * written counts as 0 and is not read when the sums are complete. */
+static void sharp_row(const Threshold *all, Strip strip, int32_t first, int32_t y) {
+    enum { HALF = SHARPENING_PX / 2, LAST = RING_ROWS - 1 };
+    Tile *tile = all->work->tile;
+    const int32_t count = rounded_up(strip.right - strip.left + 2 * SHARP_REACH_PX), below = y + 2 * HALF;
+    read_row(&all->image, below, strip.left - SHARP_REACH_PX, count, tile->grey[below & LAST]);
+    slide(tile->once_sums, tile->grey[below & LAST], tile->grey[(below - SHARPENING_PX) & LAST], count);
+    const int32_t once = y + HALF, next = y + SMOOTHING_PX / 2;
+    slide(tile->smooth_sums, tile->grey[next & LAST], tile->grey[(next - SMOOTHING_PX) & LAST], count);
+    if (once < first - HALF) return;
+    mean_row(tile->once_sums, tile->once[once & LAST], count);
+    slide(tile->twice_sums, tile->once[once & LAST], tile->once[(once - SHARPENING_PX) & LAST], count);
+    if (y < first) return;
+    const uint16_t *smooth_sums = tile->smooth_sums + SHARP_REACH_PX - LARGE_REACH_PX - SMOOTHING_PX / 2;
+    sharpen_row(smooth_sums, tile->twice_sums, tile->sharp[y & (SHARP_ROWS - 1)], count);
+}
+
+/* Find the dark pixels of rows `top <= y < bottom` of a strip. */
+static void threshold_tile(const Threshold *all, Strip strip, int32_t top, int32_t bottom) {
+    enum { LAST = SHARP_ROWS - 1 };
+    Tile *tile = all->work->tile;
+    memset(tile, 0, sizeof *tile);
+    const int32_t first = top - LARGE_REACH_PX, end = bottom + LARGE_REACH_PX;
+    const int32_t count = rounded_up(strip.right - strip.left + 2 * LARGE_REACH_PX);
+    for (int32_t y = first - (all->places ? 4 * (SHARPENING_PX / 2) : 0); y < end; y++) {
+        if (all->places) sharp_row(all, strip, first, y);
+        else read_row(&all->image, y, strip.left - LARGE_REACH_PX, count, tile->sharp[y & LAST]);
+        if (y < first) continue;
+        slide(tile->large_sums, tile->sharp[y & LAST], tile->sharp[(y - LARGE_WINDOW_PX) & LAST], count);
+        const int32_t here = y - LARGE_REACH_PX, small = here + SMALL_WINDOW_PX / 2;
+        if (all->places && small >= first)
+            slide(tile->small_sums, tile->sharp[small & LAST], tile->sharp[(small - SMALL_WINDOW_PX) & LAST], count);
+        if (here >= top) threshold_row(all, strip, here);
     }
 }
 
-/* Return eight pixels, 0 or 255, as bits. */
-static uint8_t packed(const uint8_t *pixels) {
-    uint64_t eight;
-    memcpy(&eight, pixels, sizeof eight);
-    eight &= 0x8040201008040201u; /* bit i of byte i */
-    for (int apart = BITS / 2; apart >= BITS_PER_BYTE; apart /= 2) eight |= eight >> apart;
-    return (uint8_t)eight;
+/* Return the first row from y on where a strip has places, or has none if `wanted` is 0; `height` if there is no such row. */
+static int32_t next_row(const Threshold *all, Strip strip, int32_t y, int wanted) {
+    const int32_t height = all->image.height;
+    while (y < height && (next_segment(places_of_row(all, y), strip.left, strip.right).from < strip.right) != wanted) y += 2;
+    return y < height ? y : height;
 }
 
-/* Write a segment of a mask's row, whose bits are 0, from its pixels, 0 or 255. */
-static void pack(const uint8_t *pixels, uint8_t *row, Segment segment) {
-    const int32_t first = segment.from / BITS_PER_BYTE, end = segment.to / BITS_PER_BYTE, left = segment.to % BITS_PER_BYTE;
-    for (int32_t byte = first; byte < end; byte++) row[byte] = packed(pixels + BITS_PER_BYTE * (ptrdiff_t)byte);
-    uint8_t rest[BITS_PER_BYTE] = {0};
-    memcpy(rest, pixels + BITS_PER_BYTE * (ptrdiff_t)end, (size_t)left);
-    if (left) row[end] = packed(rest);
+/* Find the dark pixels of a strip where it has places. Rows between them are computed too if that takes less time. */
+static void threshold_strip(const Threshold *all, Strip strip) {
+    const int32_t height = all->image.height;
+    int32_t top = next_row(all, strip, 0, 1);
+    while (top < height) {
+        int32_t bottom = next_row(all, strip, top, 0), next = next_row(all, strip, bottom, 1);
+        while (next < height && next < bottom + 2 * SHARP_REACH_PX) {
+            bottom = next_row(all, strip, next, 0);
+            next = next_row(all, strip, bottom, 1);
+        }
+        threshold_tile(all, strip, top, bottom);
+        top = next;
+    }
 }
 
-static void clear_row(const Mask *mask, int32_t y) {
-    memset(mask_row(mask, y), 0, (size_t)(mask->stride - WORD_BYTES));
-}
-
-/* Find the dark pixels of row y of the sharpened image where it has places; both windows' columns are summed. */
-static void threshold_row(const Box boxes[BOXES], const uint8_t *kept, int32_t y, int32_t darker, Workspace *work) {
-    const int32_t width = boxes[0].width;
-    const uint8_t *sharp = work->sharp + y % SHARP_ROWS * (ptrdiff_t)width;
-    Segment segment = next_segment(kept, 0, width);
-    for (; segment.from < width; segment = next_segment(kept, segment.to, width)) {
-        const int32_t from = segment.from;
-        box_means(boxes + SMALL_WINDOW, from, segment.to, work->smooth);
-        box_means(boxes + LARGE_WINDOW, from, segment.to, work->wide);
-        compare(work->smooth + from, work->wide + from, sharp + from, work->compared + from, segment.to - from, darker);
-        keep_places(work->compared, kept, segment);
-        pack(work->compared, mask_row(&work->dark, y), segment);
+/* Find the dark pixels of an image, strip by strip, so that all rows at hand stay in the processor's first cache. */
+static void threshold_strips(const Threshold *all) {
+    const int32_t width = all->image.width, height = all->image.height;
+    for (int32_t y = 0; y < height; y++) memset(mask_row(&all->work->dark, y), 0, (size_t)(all->work->dark.stride - WORD_BYTES));
+    for (int32_t left = 0; left < width; left += STRIP_PX) {
+        const Strip strip = {left, left + STRIP_PX < width ? left + STRIP_PX : width};
+        if (all->places) threshold_strip(all, strip);
+        else threshold_tile(all, strip, 0, height);
     }
 }
 
 /* Find the pixels of the sharpened image that are darker than the larger of two local means.
  *
- * `places` is a plane of half the size, 255 where pixels count. The steps follow each other row by row, so that all rows
- * at hand stay in the processor's cache. */
+ * `places` is a plane of half the size, 255 where pixels count. */
 int threshold(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
               const SearchParameters *parameters, Workspace *work) {
-    ThresholdSteps steps;
-    if (begin_steps(image, width, height, parameters, work, &steps)) return INVALID_PARAMETERS;
-    const int32_t small_px = parameters->small_window_px, large_px = parameters->large_window_px;
-    const int32_t reach = (small_px > large_px ? small_px : large_px) / 2;
-    for (int32_t y = 0; y < height; y++) {
-        while (steps.sharp_rows <= y + reach && steps.sharp_rows < height) next_sharp_row(work, &steps);
-        sum_columns(steps.boxes + SMALL_WINDOW, y);
-        sum_columns(steps.boxes + LARGE_WINDOW, y);
-        clear_row(&work->dark, y);
-        threshold_row(steps.boxes, places + (ptrdiff_t)(y / 2) * (width / 2), y, parameters->darker, work);
-    }
+    if (parameters->smoothing_px != SMOOTHING_PX || parameters->sharpening_px != SHARPENING_PX ||
+        parameters->small_window_px != SMALL_WINDOW_PX || parameters->large_window_px != LARGE_WINDOW_PX)
+        return INVALID_PARAMETERS;
+    threshold_strips(&(Threshold){{image, width, height}, places, parameters->darker, work});
     return 0;
 }
 
 /* Find the pixels of an image that are darker than the mean of the large window. */
 void threshold_plain(const uint8_t *image, int32_t width, int32_t height, int32_t darker, Workspace *work) {
-    const Box box = {{image, width, INT32_MAX}, width, height, LARGE_WINDOW_PX, work->column_sums, work->window_sums};
-    for (int32_t y = 0; y < height; y++) {
-        box_row(&box, y, work->wide);
-        compare(work->wide, work->wide, image + (ptrdiff_t)y * width, work->compared, width, darker);
-        clear_row(&work->dark, y);
-        pack(work->compared, mask_row(&work->dark, y), (Segment){0, width});
-    }
+    threshold_strips(&(Threshold){{image, width, height}, NULL, darker, work});
 }
 
 /* Keep the pixels whose eight neighbours are all dark. Neighbours outside of the image count as dark. */

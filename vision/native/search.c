@@ -38,20 +38,15 @@ static Mask reserve_mask(uint8_t *memory, size_t *used, int32_t width, int32_t h
 
 /* Lay out the workspace in `memory`, and return the bytes used. Without memory only the bytes are counted. */
 static size_t lay_out(uint8_t *memory, int32_t width, int32_t height, Workspace *work) {
-    const size_t pixels = (size_t)width * (size_t)height, padded = (size_t)width + 2 * LARGE_WINDOW_PX;
+    const size_t pixels = (size_t)width * (size_t)height;
     size_t used = 0;
-    work->smooth = reserve(memory, &used, (size_t)width);
-    work->wide = reserve(memory, &used, (size_t)width);
-    work->compared = reserve(memory, &used, (size_t)width);
-    work->means = reserve(memory, &used, MEAN_ROWS * (size_t)width);
-    work->sharp = reserve(memory, &used, SHARP_ROWS * (size_t)width);
-    work->column_sums = (uint16_t *)(void *)reserve(memory, &used, BOXES * padded * sizeof(uint16_t));
-    work->window_sums = (uint16_t *)(void *)reserve(memory, &used, padded * sizeof(uint16_t));
+    work->tile = (Tile *)(void *)reserve(memory, &used, sizeof(Tile));
+    work->column = reserve(memory, &used, (size_t)width / BITS_PER_BYTE + 3);
     work->dark = reserve_mask(memory, &used, width, height);
     work->eroded = reserve_mask(memory, &used, width, height);
     work->runs = (Run *)(void *)reserve(memory, &used, 2 * (size_t)width * sizeof(Run));
     /* A run without a dark neighbour above begins a region: at most every second pixel of every second row. */
-    work->regions = (Region *)(void *)reserve(memory, &used, (pixels / 4 + padded) * sizeof(Region));
+    work->regions = (Region *)(void *)reserve(memory, &used, (pixels / 4 + (size_t)width) * sizeof(Region));
     work->max_points = (ptrdiff_t)(4 * pixels);
     work->points = (Point *)(void *)reserve(memory, &used, 4 * pixels * sizeof(Point));
     return used + ALIGNMENT;
@@ -134,7 +129,7 @@ int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width,
     int32_t found = 0;
     for (int32_t erosions = 0; found >= 0 && erosions <= parameters->last_erosions; erosions++) {
         if (erosions > 0) {
-            erode(dark, eroded, (uint8_t *)work.column_sums);
+            erode(dark, eroded, work.column);
             Mask *swap = dark;
             dark = eroded;
             eroded = swap;

@@ -23,9 +23,12 @@ _Static_assert(__BYTE_ORDER__ == __ORDER_LITTLE_ENDIAN__, "words of a mask are r
 
 enum { MAX_SIDE_PX = 1 << 20, MAX_PIXELS = 1 << 28, DARK = 255, BITS = 64, BITS_PER_BYTE = 8, WORD_BYTES = 8 };
 
-/* Largest window of a mean, px. Boxes of the threshold, and rows of means and of the sharpened image that are kept: powers
- * of two, more than the windows that read them are high. */
-enum { LARGE_WINDOW_PX = 21, BOXES = 5, MEAN_ROWS = 8, SHARP_ROWS = 32 };
+/* Largest window of a mean, px. Rows of the image, of its means and of the sharpened image that are kept: powers of two, more
+ * than the windows that read them are high. */
+enum { LARGE_WINDOW_PX = 21, RING_ROWS = 8, SHARP_ROWS = 32 };
+
+/* Columns that are thresholded at a time. Loops take whole steps, and read less than LARGE_WINDOW_PX beyond them. */
+enum { STRIP_PX = 512, STEP_PX = 32, TILE_COLUMNS = STRIP_PX + 3 * STEP_PX };
 
 /* Negative results of the public functions. */
 enum { INVALID_SIZE = -1, INVALID_PARAMETERS = -2, TOO_MANY_RESULTS = -3 };
@@ -70,10 +73,19 @@ typedef struct { int32_t from, to, y, label; } Run;
  * rows above may be a hole, and nothing else can be. `row_end` is where the runs in the row `bottom` end so far. */
 typedef struct { int32_t parent, left, right, top, bottom, first_x, row_end; int64_t filled; } Region;
 
+/* Rings of rows of a strip, and sums over the rows of each box: two of the unsharp mask, one after the other, that of the
+ * noise filter, and both windows. Row y of a ring has the index y modulo its rows. */
+typedef struct {
+    uint16_t grey[RING_ROWS][TILE_COLUMNS], once[RING_ROWS][TILE_COLUMNS], sharp[SHARP_ROWS][TILE_COLUMNS];
+    uint16_t once_sums[TILE_COLUMNS], twice_sums[TILE_COLUMNS], smooth_sums[TILE_COLUMNS];
+    uint16_t small_sums[TILE_COLUMNS], large_sums[TILE_COLUMNS], fives[TILE_COLUMNS];
+    uint8_t dark[STRIP_PX];
+} Tile;
+
 /* Rows, planes and lists of one search. */
 typedef struct {
-    uint8_t *smooth, *wide, *compared, *means, *sharp; /* one row each, MEAN_ROWS and SHARP_ROWS */
-    uint16_t *column_sums, *window_sums;    /* a padded row for each box, and one */
+    Tile *tile;
+    uint8_t *column; /* a row of the erosion */
     Mask dark, eroded;
     Run *runs;
     Region *regions;

@@ -53,7 +53,8 @@ static void stretch_line(const uint8_t *restrict from, Lines gains, Lines shifts
     for (int32_t x = 0; x < width; x++) {
         const float factor = gain[x] + share * (next_gain[x] - gain[x]);
         const float value = (float)from[x] * factor + shift[x] + share * (next_shift[x] - shift[x]);
-        const float limited = value > 0 ? value < 255 ? value : 255.0f : 0.0f; /* also of no number */
+        const float positive = value > 0 ? value : 0.0f; /* also of no number */
+        const float limited = positive < 255 ? positive : 255.0f;
         to[x] = (uint8_t)(int32_t)(limited + 0.5f);
     }
 }
@@ -71,9 +72,15 @@ static void smooth_line(const uint8_t *restrict above, const uint8_t *restrict l
 /* Write the pixels of the blocks that stay sharp (columns,), 255 or 0, and the smooth ones of the others. */
 static void choose_line(const uint8_t *restrict line, const uint8_t *restrict smooth, const uint8_t *restrict is_sharp,
                         int32_t columns, int32_t width, uint8_t *restrict chosen) {
-    for (int32_t column = 0; column < columns; column++)
-        for (int32_t x = column * BLOCK; x < column * BLOCK + BLOCK; x++)
-            chosen[x] = (uint8_t)((line[x] & is_sharp[column]) | (smooth[x] & ~is_sharp[column]));
+    const uint32_t ones = 0x01010101;
+    for (int32_t column = 0; column < columns; column++) {
+        uint32_t block, smooth_block; /* BLOCK pixels each */
+        memcpy(&block, line + BLOCK * column, sizeof block);
+        memcpy(&smooth_block, smooth + BLOCK * column, sizeof block);
+        const uint32_t kept = is_sharp[column] * ones;
+        block = (block & kept) | (smooth_block & ~kept);
+        memcpy(chosen + BLOCK * column, &block, sizeof block);
+    }
     for (int32_t x = columns * BLOCK; x < width; x++) chosen[x] = is_sharp[columns - 1] ? line[x] : smooth[x];
 }
 

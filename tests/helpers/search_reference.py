@@ -9,6 +9,7 @@ from skyherd.geometry import Array, BoolArray, ComplexArray, IntArray, to_points
 from skyherd.vision.grey import Image, block_means
 from skyherd.vision.search.faint import stretched_contrasts
 from skyherd.vision.search.quads import (
+    ENLARGEMENT,
     ERODED_PX,
     GROWTH_PX,
     MAX_AREA_MISMATCH,
@@ -26,7 +27,6 @@ from skyherd.vision.search.quads import (
 )
 from skyherd.vision.search.regions import (
     DARKER,
-    ENLARGEMENT,
     SHARPENING_PX,
     SMOOTHING_PX,
     WINDOWS_PX,
@@ -73,6 +73,19 @@ def dark_regions(mosaic: Mosaic) -> DarkRegions:
     """Return the dark regions in a mosaic, by the adaptive threshold."""
     mask = cv2.resize(mosaic.mask, mosaic.image.shape[::-1], interpolation=cv2.INTER_NEAREST)
     return DarkRegions(np.asarray(cv2.bitwise_and(_dark(mosaic.image), mask), dtype=np.uint8), mosaic)
+
+
+def enlarged(mosaic: Mosaic) -> Mosaic:
+    """Return a mosaic enlarged by `ENLARGEMENT`."""
+    size = {"fx": ENLARGEMENT, "fy": ENLARGEMENT}
+    image = cv2.resize(mosaic.image, None, **size, interpolation=cv2.INTER_LINEAR)
+    mask = cv2.resize(mosaic.mask, None, **size, interpolation=cv2.INTER_NEAREST)
+    return Mosaic(
+        np.asarray(image, dtype=np.uint8),
+        np.asarray(mask, dtype=np.uint8),
+        ENLARGEMENT * mosaic.begins,
+        ENLARGEMENT * mosaic.offsets,
+    )
 
 
 def dark_boundaries(regions: DarkRegions, min_points: int) -> Boundaries:
@@ -127,7 +140,7 @@ def find_quads(
 
 def small_quads(mosaic: Mosaic) -> Array:
     """Return the quadrilaterals of `skyherd.vision.search.quads.small_quads`."""
-    regions, found = dark_regions(mosaic.enlarged()), []
+    regions, found = dark_regions(enlarged(mosaic)), []
     min_area_px2 = ENLARGEMENT**2 * MIN_AREA_PX2
     for erosions in range(MAX_EROSIONS + 1):
         boundaries = dark_boundaries(regions, ENLARGEMENT * MIN_POINTS // 2)

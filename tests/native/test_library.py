@@ -73,7 +73,8 @@ def fuzz_vision(path, seed=0, images=150):
             side = int(rng.integers(1, 20))
             image = np.ascontiguousarray(np.kron(image, np.ones((side, side), np.uint8))[:height, :width])
         places = np.full((height // 2, width // 2), 255, np.uint8)
-        found += len(library.quads(image, places, search_parameters(range(3)))[0])
+        for enlargement in (1, 2):
+            found += len(library.quads(image, places, search_parameters(range(3), enlargement))[0])
         library.large_boundaries(image, int(rng.integers(0, 40)), int(rng.integers(0, 12)))
         quads = rng.uniform(-20, 90, (int(rng.integers(0, 4)), 4, 2))
         quads[rng.random(quads.shape) < 0.1] = rng.choice([0.0, 1e300, np.inf, -np.inf, np.nan, 1e9])

@@ -43,14 +43,6 @@ def test_block_means_of_all_builds_equal_opencv(side: int) -> None:
             np.testing.assert_array_equal(build.block_means(image, side), expected)
 
 
-@pytest.mark.parametrize("size", [(1, 1), (1, 7), (6, 1), (37, 90)])
-def test_enlarged_images_of_all_builds_equal_opencv(size: tuple[int, int]) -> None:
-    image = np.random.default_rng([8, *size]).integers(0, 256, size, dtype=np.uint8)
-    expected = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
-    for build in builds("vision", declared).values():
-        np.testing.assert_array_equal(build.enlarged(image), expected)
-
-
 @pytest.mark.parametrize("side", [1, 6, 300])
 def test_blocks_that_do_not_fit_are_rejected(side: int) -> None:
     with pytest.raises(InputError, match="an invalid size"):

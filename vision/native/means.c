@@ -28,25 +28,58 @@ static int32_t mirrored(int32_t at, int32_t length) {
     return rest <= last ? rest : 2 * last - rest;
 }
 
-/* A grey image. */
-typedef struct { const uint8_t *pixels; int32_t width, height; } Image;
+/* Width and height of an image, which is that of the pixels or, with an enlargement of 2, twice as large. */
+typedef struct { const uint8_t *pixels; int32_t width, height, enlargement; } Image;
 
-/* Load the pixels of a row that is read soon into the cache: processors expect one row after the other, not a strip. */
-static void prefetch_row(const Image *image, int32_t y, int32_t first, int32_t count) {
-    if (y < 0 || y >= image->height) return;
-    const uint8_t *line = image->pixels + (ptrdiff_t)y * image->width;
-    const int32_t from = first < 0 ? 0 : first, to = first + count < image->width ? first + count : image->width;
-    for (int32_t x = from; x < to; x += CACHE_LINE_BYTES) __builtin_prefetch(line + x);
+static const uint8_t *line_at(const Image *image, int32_t line) {
+    return image->pixels + (ptrdiff_t)line * (image->width / image->enlargement);
 }
 
-/* Read `count` pixels of row y from column `first` on; both may be beyond the border, where the image is mirrored. */
+/* Load the pixels of a line that is read soon into the cache: processors expect one line after the other, not a strip. */
+static void prefetch_line(const Image *image, int32_t line, int32_t from, int32_t to) {
+    if (line < 0 || line >= image->height / image->enlargement) return;
+    for (int32_t x = from; x < to; x += CACHE_LINE_BYTES) __builtin_prefetch(line_at(image, line) + x);
+}
+
+/* Return a quarter of the way from one line to another one, from four times their levels. Both parts are rounded down before
+ * they are added. */
+static inline uint16_t between(uint16_t near, uint16_t far) {
+    return (uint16_t)((uint16_t)((far >> 2) + ((uint16_t)(3 * near) >> 2) + 2) >> 2);
+}
+
+/* Write the pixel at x of a line at twice the size. `left` and `right` are its neighbours, which borders repeat. */
+static inline void enlarge_pixel(const uint8_t *near, const uint8_t *far, int32_t left, int32_t x, int32_t right,
+                                 uint16_t *two) {
+    two[0] = between((uint16_t)(3 * near[x] + near[left]), (uint16_t)(3 * far[x] + far[left]));
+    two[1] = between((uint16_t)(3 * near[x] + near[right]), (uint16_t)(3 * far[x] + far[right]));
+}
+
+/* Write pixels `from <= x < to` of row y at twice the size by bilinear interpolation, as cv2.resize on x86-64. */
+static void enlarge_row(const Image *image, int32_t y, int32_t from, int32_t to, uint16_t *restrict row) {
+    const int32_t last_line = image->height / 2 - 1, last = image->width / 2 - 1, line = y / 2;
+    const int32_t beside = y % 2 ? line + 1 : line - 1, other = beside < 0 ? 0 : beside > last_line ? last_line : beside;
+    const uint8_t *restrict near = line_at(image, line), *restrict far = line_at(image, other);
+    const int32_t begin = from / 2 > 0 ? from / 2 : 1, end = to / 2 < last ? to / 2 : last;
+    if (from == 0) enlarge_pixel(near, far, 0, 0, last > 0, row);
+    for (int32_t x = begin; x < end; x++) enlarge_pixel(near, far, x - 1, x, x + 1, row + (2 * x - from));
+    if (last > 0 && to / 2 > last) enlarge_pixel(near, far, last - 1, last, last, row + (2 * last - from));
+}
+
+/* Read `count` pixels of row y from column `first` on; both may be beyond the border, where the image is mirrored.
+ *
+ * `first` and `count` are even, and the columns include those that are mirrored. */
 static void read_row(const Image *image, int32_t y, int32_t first, int32_t count, uint16_t *restrict row) {
-    const uint8_t *restrict line = image->pixels + (ptrdiff_t)mirrored(y, image->height) * image->width;
-    prefetch_row(image, y + ROWS_AHEAD, first, count);
-    const int32_t from = first < 0 ? -first : 0, rest = image->width - first, to = rest < count ? rest : count;
-    for (int32_t i = from; i < to; i++) row[i] = line[first + i];
-    for (int32_t i = 0; i < from; i++) row[i] = line[mirrored(first + i, image->width)];
-    for (int32_t i = to; i < count; i++) row[i] = line[mirrored(first + i, image->width)];
+    const int32_t inside = mirrored(y, image->height), from = first < 0 ? 0 : first;
+    const int32_t to = first + count < image->width ? first + count : image->width, twice = image->enlargement;
+    prefetch_line(image, inside / twice + ROWS_AHEAD, from / twice, to / twice);
+    if (twice == 2) {
+        enlarge_row(image, inside, from, to, row + (from - first));
+    } else {
+        const uint8_t *restrict line = line_at(image, inside);
+        for (int32_t x = from; x < to; x++) row[x - first] = line[x];
+    }
+    for (int32_t x = first; x < from; x++) row[x - first] = row[mirrored(x, image->width) - first];
+    for (int32_t x = to; x < first + count; x++) row[x - first] = row[mirrored(x, image->width) - first];
 }
 
 /* Move sums over the rows of a window down by a row. */
@@ -173,21 +206,30 @@ typedef struct { int32_t left, right; } Strip;
 
 static int32_t rounded_up(int32_t count) { return (count + STEP_PX - 1) / STEP_PX * STEP_PX; }
 
-static const uint8_t *places_of_row(const Threshold *all, int32_t y) {
-    return all->places + (ptrdiff_t)(y / 2) * (all->image.width / 2);
+/* Return the places of a strip in row y, of half the size, from the strip's first column on. */
+static const uint8_t *places_of_row(const Threshold *all, Strip strip, int32_t y) {
+    const int32_t twice = all->image.enlargement;
+    const uint8_t *given = all->places + (ptrdiff_t)(y / 2 / twice) * (all->image.width / 2 / twice) + strip.left / 2 / twice;
+    if (twice == 1) return given;
+    uint8_t *restrict places = all->work->tile->places;
+    const int32_t count = (strip.right - strip.left) / 4;
+    for (int32_t x = 0; x < count; x++) places[2 * x] = places[2 * x + 1] = given[x];
+    return places;
 }
 
-/* Find the dark pixels of a segment of row y, after the sums over rows of both windows are about it. */
-static void threshold_segment(const Threshold *all, Strip strip, Segment segment, int32_t y) {
+/* Find the dark pixels of a segment of row y, after the sums over rows of both windows are about it.
+ *
+ * Columns of segments count from the strip's first one. `kept` are the places of the strip, or NULL. */
+static void threshold_segment(const Threshold *all, Strip strip, Segment segment, const uint8_t *kept, int32_t y) {
     Tile *tile = all->work->tile;
-    const int32_t first = segment.from - strip.left, count = segment.to - segment.from, whole = rounded_up(count);
+    const int32_t first = segment.from, count = segment.to - segment.from, whole = rounded_up(count);
     const uint16_t *large = tile->large_sums + first, *small = tile->small_sums + first + LARGE_REACH_PX - SMALL_WINDOW_PX / 2;
     const uint16_t *sharp = tile->sharp[y & (SHARP_ROWS - 1)] + first + LARGE_REACH_PX;
-    uint8_t *dark = tile->dark, *bits = mask_row(&all->work->dark, y) + segment.from / BITS_PER_BYTE;
+    uint8_t *dark = tile->dark, *bits = mask_row(&all->work->dark, y) + (strip.left + first) / BITS_PER_BYTE;
     sum_fives(large, tile->fives, rounded_up(whole + LARGE_WINDOW_PX));
-    if (all->places) {
+    if (kept) {
         compare(small, large, tile->fives, sharp, dark, whole, all->darker);
-        keep_places(dark, places_of_row(all, y) + segment.from / 2, count);
+        keep_places(dark, kept + first / 2, count);
     } else {
         compare_large(large, tile->fives, sharp, dark, whole, all->darker);
     }
@@ -197,14 +239,15 @@ static void threshold_segment(const Threshold *all, Strip strip, Segment segment
 
 /* Find the dark pixels of row y of a strip. */
 static void threshold_row(const Threshold *all, Strip strip, int32_t y) {
+    const int32_t width = strip.right - strip.left;
     if (!all->places) {
-        threshold_segment(all, strip, (Segment){strip.left, strip.right}, y);
+        threshold_segment(all, strip, (Segment){0, width}, NULL, y);
         return;
     }
-    const uint8_t *kept = places_of_row(all, y);
-    Segment segment = next_segment(kept, strip.left, strip.right);
-    for (; segment.from < strip.right; segment = next_segment(kept, segment.to, strip.right))
-        threshold_segment(all, strip, segment, y);
+    const uint8_t *kept = places_of_row(all, strip, y);
+    Segment segment = next_segment(kept, 0, width);
+    for (; segment.from < width; segment = next_segment(kept, segment.to, width))
+        threshold_segment(all, strip, segment, kept, y);
 }
 
 /* Compute row y of the sharpened image, and the steps before it, from the row SHARP_REACH_PX - LARGE_REACH_PX below on.
@@ -233,10 +276,10 @@ static void threshold_tile(const Threshold *all, Strip strip, int32_t top, int32
     Tile *tile = all->work->tile;
     memset(tile, 0, sizeof *tile);
     const int32_t first = top - LARGE_REACH_PX, end = bottom + LARGE_REACH_PX;
-    const int32_t count = rounded_up(strip.right - strip.left + 2 * LARGE_REACH_PX);
+    const int32_t needed = strip.right - strip.left + 2 * LARGE_REACH_PX, count = rounded_up(needed);
     for (int32_t y = first - (all->places ? 4 * (SHARPENING_PX / 2) : 0); y < end; y++) {
         if (all->places) sharp_row(all, strip, first, y);
-        else read_row(&all->image, y, strip.left - LARGE_REACH_PX, count, tile->sharp[y & LAST]);
+        else read_row(&all->image, y, strip.left - LARGE_REACH_PX, needed, tile->sharp[y & LAST]);
         if (y < first) continue;
         slide(tile->large_sums, tile->sharp[y & LAST], tile->sharp[(y - LARGE_WINDOW_PX) & LAST], count);
         const int32_t here = y - LARGE_REACH_PX, small = here + SMALL_WINDOW_PX / 2;
@@ -248,8 +291,8 @@ static void threshold_tile(const Threshold *all, Strip strip, int32_t top, int32
 
 /* Return the first row from y on where a strip has places, or has none if `wanted` is 0; `height` if there is no such row. */
 static int32_t next_row(const Threshold *all, Strip strip, int32_t y, int wanted) {
-    const int32_t height = all->image.height;
-    while (y < height && (next_segment(places_of_row(all, y), strip.left, strip.right).from < strip.right) != wanted) y += 2;
+    const int32_t height = all->image.height, width = strip.right - strip.left;
+    while (y < height && (next_segment(places_of_row(all, strip, y), 0, width).from < width) != wanted) y += 2;
     return y < height ? y : height;
 }
 
@@ -281,19 +324,20 @@ static void threshold_strips(const Threshold *all) {
 
 /* Find the pixels of the sharpened image that are darker than the larger of two local means.
  *
- * `places` is a plane of half the size, 255 where pixels count. */
+ * `places` is a plane of half the size of what is given, 255 where pixels count. Width and height are those after the
+ * enlargement. */
 int threshold(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,
               const SearchParameters *parameters, Workspace *work) {
     if (parameters->smoothing_px != SMOOTHING_PX || parameters->sharpening_px != SHARPENING_PX ||
         parameters->small_window_px != SMALL_WINDOW_PX || parameters->large_window_px != LARGE_WINDOW_PX)
         return INVALID_PARAMETERS;
-    threshold_strips(&(Threshold){{image, width, height}, places, parameters->darker, work});
+    threshold_strips(&(Threshold){{image, width, height, parameters->enlargement}, places, parameters->darker, work});
     return 0;
 }
 
 /* Find the pixels of an image that are darker than the mean of the large window. */
 void threshold_plain(const uint8_t *image, int32_t width, int32_t height, int32_t darker, Workspace *work) {
-    threshold_strips(&(Threshold){{image, width, height}, NULL, darker, work});
+    threshold_strips(&(Threshold){{image, width, height, 1}, NULL, darker, work});
 }
 
 /* Keep the pixels whose eight neighbours are all dark. Neighbours outside of the image count as dark. */

@@ -50,6 +50,7 @@ class SearchParameters(ctypes.Structure):
         ("large_window_px", ctypes.c_int32),
         ("first_erosions", ctypes.c_int32),
         ("last_erosions", ctypes.c_int32),
+        ("enlargement", ctypes.c_int32),
     )
 
 

@@ -1,4 +1,4 @@
-/* Images shrunk by means over blocks, and enlarged to twice the size; both equal cv2.resize on x86-64. */
+/* Images shrunk by means over blocks, which equal cv2.resize on x86-64. */
 #include "search.h"
 
 enum { MAX_BLOCK_PX = 256 };
@@ -40,40 +40,6 @@ int32_t block_means(const uint8_t *image, int32_t width, int32_t height, int32_t
         if (side == 2) mean_pairs(sums, columns, means);
         else if (side == 4) mean_blocks(sums, columns, 4, means);
         else mean_blocks(sums, columns, side, means);
-    }
-    return 0;
-}
-
-/* Write a line of twice as many pixels, times 4: a quarter of the way to either neighbour, which borders repeat. */
-static void widen(const uint8_t *restrict line, int32_t width, uint16_t *restrict wide) {
-    const int32_t last = width - 1;
-    wide[0] = (uint16_t)(4 * line[0]);
-    for (int32_t x = 0; x < last; x++) {
-        wide[2 * x + 1] = (uint16_t)(3 * line[x] + line[x + 1]);
-        wide[2 * x + 2] = (uint16_t)(line[x] + 3 * line[x + 1]);
-    }
-    wide[2 * last + 1] = (uint16_t)(4 * line[last]);
-}
-
-/* Write a line a quarter of the way from a wide line to another one. Both parts are rounded down before they are added. */
-static void between(const uint16_t *restrict near, const uint16_t *restrict far, int32_t count, uint8_t *restrict line) {
-    for (int32_t x = 0; x < count; x++) line[x] = (uint8_t)((uint16_t)((far[x] >> 2) + (3 * near[x] >> 2) + 2) >> 2);
-}
-
-/* Write an image of twice the size (2 height, 2 width) by bilinear interpolation. memory (6 width,) is for work. Returns 0 or
- * an error. */
-int32_t enlarge_twice(const uint8_t *image, int32_t width, int32_t height, uint16_t *memory, uint8_t *enlarged) {
-    if (width <= 0 || height <= 0 || width > MAX_SIDE_PX / 2 || height > MAX_SIDE_PX / 2) return INVALID_SIZE;
-    const int32_t wide = 2 * width;
-    uint16_t *before = memory, *here = memory + wide, *next = here + wide;
-    widen(image, width, here);
-    memcpy(before, here, (size_t)wide * sizeof *here);
-    for (int32_t y = 0; y < height; y++) {
-        widen(image + (ptrdiff_t)(y + 1 < height ? y + 1 : y) * width, width, next);
-        between(here, before, wide, enlarged + (ptrdiff_t)(2 * y) * wide);
-        between(here, next, wide, enlarged + (ptrdiff_t)(2 * y + 1) * wide);
-        uint16_t *swap = before;
-        before = here, here = next, next = swap;
     }
     return 0;
 }

@@ -77,8 +77,9 @@ static int prepare(const uint8_t *image, const uint8_t *places, int32_t width, i
     if (!valid_size(width, height) || workspace_bytes < search_workspace_bytes(width, height)) return INVALID_SIZE;
     if (!image || !places || !parameters || !workspace) return INVALID_PARAMETERS;
     if (parameters->first_erosions < 0 || parameters->last_erosions > 8 || parameters->darker < 0 ||
-        parameters->darker > 255)
+        parameters->darker > 255 || parameters->enlargement < 1 || parameters->enlargement > 2)
         return INVALID_PARAMETERS;
+    if (width % (2 * parameters->enlargement) || height % (2 * parameters->enlargement)) return INVALID_SIZE;
     begin(workspace, workspace_bytes, width, height, work);
     return threshold(image, places, width, height, parameters, work);
 }
@@ -116,7 +117,8 @@ static int32_t append_quads(const Mask *mask, double growth_px, const SearchPara
 
 /* Find the dark quadrilaterals of an image, after each number of erosions from `first_erosions` to `last_erosions`.
  *
- * `places` is a plane of half the size, 255 where the image is searched. The result is the number of quadrilaterals or
+ * Width and height are those after the enlargement. `places` is a plane of half the size of the image as it is given, 255
+ * where it is searched. The result is the number of quadrilaterals or
  * an error: corners (N, 4, 2), clockwise, px, and the column (N,) of the first pixel of each region.
  */
 int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width, int32_t height,

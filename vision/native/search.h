@@ -4,7 +4,7 @@
  *   1. means.c    adaptive threshold by running box sums, and erosion of the dark pixels
  *   2. regions.c  horizontal runs of dark pixels, joined to regions; the outer boundary of a region
  *   3. quads.c    four corner points on a boundary, a line through each side, their intersections
- * search_boundaries() uses steps 1 and 2 alone. block_means() and enlarge_twice() in resize.c change an image's size,
+ * search_boundaries() uses steps 1 and 2 alone. block_means() in resize.c shrinks an image,
  * stretch() in stretch.c prepares it for the search of faint markers,
  * sample_squares() in sampling.c reads what is within quadrilaterals, best_codes() in decode.c finds the markers that they
  * resemble, and fit_edges() in edges.c refines their corners.
@@ -43,6 +43,7 @@ typedef struct {
     int32_t darker, min_points;
     int32_t smoothing_px, sharpening_px, small_window_px, large_window_px;
     int32_t first_erosions, last_erosions; /* numbers of erosions after which regions are searched */
+    int32_t enlargement;                   /* of the image before it is searched, 1 or 2 */
 } SearchParameters;
 
 /* Parameters of the refinement by edges; vision/search/edges.py states the reason of each value. */
@@ -79,7 +80,7 @@ typedef struct {
     uint16_t grey[RING_ROWS][TILE_COLUMNS], once[RING_ROWS][TILE_COLUMNS], sharp[SHARP_ROWS][TILE_COLUMNS];
     uint16_t once_sums[TILE_COLUMNS], twice_sums[TILE_COLUMNS], smooth_sums[TILE_COLUMNS];
     uint16_t small_sums[TILE_COLUMNS], large_sums[TILE_COLUMNS], fives[TILE_COLUMNS];
-    uint8_t dark[STRIP_PX];
+    uint8_t dark[STRIP_PX], places[STRIP_PX / 2];
 } Tile;
 
 /* Rows, planes and lists of one search. */
@@ -128,7 +129,6 @@ int32_t search_boundaries(const uint8_t *image, int32_t width, int32_t height, i
                           uint8_t *workspace, size_t workspace_bytes, Point *points, int64_t max_points,
                           int32_t *counts, int32_t max_regions);
 int32_t block_means(const uint8_t *image, int32_t width, int32_t height, int32_t side, uint16_t *sums, uint8_t *means);
-int32_t enlarge_twice(const uint8_t *image, int32_t width, int32_t height, uint16_t *memory, uint8_t *enlarged);
 int32_t sample_squares(const uint8_t *image, int32_t width, int32_t height, const double *corners, int64_t count,
                        const double *at, int32_t side, int32_t fine, float *levels);
 int32_t best_codes(const float *samples, int64_t rows, int32_t cells, const float *columns, int64_t count, int64_t stride,

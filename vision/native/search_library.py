@@ -74,21 +74,23 @@ class SearchFunctions:
     functions: ctypes.CDLL
 
     def quads(self, image: Image, places: Image, parameters: SearchParameters) -> tuple[Array, IntArray]:
-        """Return the dark quadrilaterals of an image within its places.
+        """Return the dark quadrilaterals of an image, or of the enlarged image, within its places.
 
         Args:
             image: grey, (height, width), even sides.
             places: (height / 2, width / 2), 255 where the image is searched.
-            parameters: of the search.
+            parameters: of the search; they have the enlargement.
 
         Returns:
-            Corners (N, 4, 2), px, clockwise in the image, and the column (N,) of a pixel of each region.
+            Corners (N, 4, 2), px of the enlarged image, clockwise, and the column (N,) of a pixel of each
+            region.
 
         Raises:
             InputError: an argument has another type, shape or memory layout, or an invalid parameter.
         """
         arguments = self._search_arguments(image, places, parameters)
-        room = image.size // PIXELS_PER_QUAD * (parameters.last_erosions + 1) + 1
+        pixels = parameters.enlargement**2 * image.size
+        room = pixels // PIXELS_PER_QUAD * (parameters.last_erosions + 1) + 1
         corners, columns = np.empty((room, 4, 2)), np.empty(room, dtype=np.int32)
         results = corners.ctypes.data, columns.ctypes.data, room
         found = check(self.functions.search_quads(*arguments, *results), ERRORS)
@@ -106,7 +108,7 @@ class SearchFunctions:
             InputError: an argument has another type, shape or memory layout, or is out of range.
         """
         check_plane("image", image, None)
-        (height, width), memory = image.shape, self._search_memory(image)
+        (height, width), memory = image.shape, self._search_memory(*image.shape)
         points = np.empty((4 * image.size, 2), dtype=np.int32)
         counts = np.empty(image.size // max(min_side_px, 1) + 1, dtype=np.int32)
         given = image.ctypes.data, width, height, darker, min_side_px, memory.ctypes.data, memory.size
@@ -127,22 +129,6 @@ class SearchFunctions:
         given = image.ctypes.data, width, height, side, sums.ctypes.data
         check(self.functions.block_means(*given, means.ctypes.data), ERRORS)
         return means
-
-    def enlarged(self, image: Image) -> Image:
-        """Return an image of twice the size by bilinear interpolation.
-
-        Raises:
-            InputError: the image has another type, shape or memory layout, or is too large.
-        """
-        check_plane("image", image, None)
-        height, width = image.shape
-        memory, twice = (
-            np.empty(6 * width, dtype=np.uint16),
-            np.empty((2 * height, 2 * width), dtype=np.uint8),
-        )
-        given = image.ctypes.data, width, height, memory.ctypes.data
-        check(self.functions.enlarge_twice(*given, twice.ctypes.data), ERRORS)
-        return twice
 
     def stretched(self, image: Image, gains: Floats, shifts: Floats, is_sharp: Image) -> tuple[Image, Image]:
         """Return two images of gains times grey levels plus shifts, rounded and within 0 to 255.
@@ -247,14 +233,15 @@ class SearchFunctions:
     ) -> tuple[object, ...]:
         """Return the arguments that the search begins with."""
         check_plane("image", image, None)
-        (height, width), memory = image.shape, self._search_memory(image)
-        check_plane("places", places, (height // 2, width // 2))
+        check_plane("places", places, (image.shape[0] // 2, image.shape[1] // 2))
+        height, width = (parameters.enlargement * side for side in image.shape)
+        memory = self._search_memory(height, width)
         pointers = image.ctypes.data, places.ctypes.data
         return *pointers, width, height, ctypes.byref(parameters), memory.ctypes.data, memory.size
 
-    def _search_memory(self, image: Image) -> Image:
-        """Return the workspace of a search of an image (height, width)."""
-        size = int(self.functions.search_workspace_bytes(*image.shape[::-1]))
+    def _search_memory(self, height: int, width: int) -> Image:
+        """Return the workspace of a search of an image."""
+        size = int(self.functions.search_workspace_bytes(width, height))
         return _workspaces.of(size or check(-1, ERRORS))
 
 
@@ -269,7 +256,6 @@ def search_signatures() -> dict[str, Signature]:
         "search_quads": (integer, *search, pointer, pointer, integer),
         "search_boundaries": (integer, *boundaries),
         "block_means": (integer, pointer, *(integer,) * 3, *(pointer,) * 2),
-        "enlarge_twice": (integer, pointer, *(integer,) * 2, *(pointer,) * 2),
         "stretch": (integer, pointer, *(integer,) * 2, *(pointer,) * 3, *(integer,) * 2, *(pointer,) * 2),
         "fit_edges": (
             integer,

@@ -13,7 +13,6 @@ import numpy as np
 
 from skyherd.geometry import Array, ComplexArray, IntArray
 from skyherd.vision.grey import Image, block_means
-from skyherd.vision.native.library import library
 
 SMOOTHING_PX = 3
 """Width of the box filter that reduces noise before the threshold, px. Chosen: the smallest; a wider one
@@ -56,11 +55,6 @@ MAX_MOSAIC_SHARE = 0.33
 """Share of the image's area above which the image is processed as a whole. Chosen: the mosaic then costs more
 time than it saves."""
 
-
-ENLARGEMENT = 2
-"""Enlargement factor of the search for small squares. Chosen: at twice the size, a cell of 1.5 px is as wide
-as the filters above; a factor of three takes more than twice the time."""
-
 KNOWN_LINE_PX = COARSE_WINDOW
 """Width of the excluded line along the edges of known squares, px of the half-size image. Chosen: as far as a
 mean over `COARSE_WINDOW` spreads an edge. Twice the width cuts off a part of markers beside known ones, and
@@ -82,14 +76,6 @@ class Mosaic:
     mask: Image
     begins: IntArray
     offsets: ComplexArray
-
-    def enlarged(self) -> "Mosaic":
-        """Return the mosaic enlarged by `ENLARGEMENT`, 2."""
-        image = library().enlarged(np.ascontiguousarray(self.image))
-        mask = cv2.resize(self.mask, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
-        return Mosaic(
-            image, np.asarray(mask, np.uint8), ENLARGEMENT * self.begins, ENLARGEMENT * self.offsets
-        )
 
     def shifts(self, columns: Array) -> ComplexArray:
         """Return the shifts (N,) from columns (N,) of the mosaic to the image, u + iv, px."""

@@ -14,6 +14,7 @@ from skyherd.vision.native.library import declared, library
 from skyherd.vision.photometric.image_noise import image_noise
 from skyherd.vision.search.faint import find_faint_quads
 from skyherd.vision.search.quads import (
+    ENLARGEMENT,
     GROWTH_PX,
     MIN_QUAD_SIDE_PX,
     SHRINKS,
@@ -21,7 +22,7 @@ from skyherd.vision.search.quads import (
     search_parameters,
     small_quads,
 )
-from skyherd.vision.search.regions import ENLARGEMENT, Mosaic, crowded_places
+from skyherd.vision.search.regions import Mosaic, crowded_places
 
 TOLERANCE_PX = 1e-6
 PLAIN = search_parameters(range(2))
@@ -124,17 +125,19 @@ def test_images_of_markers_have_many_quads():
     assert len(small_quads(crowded_places(image_of("small markers")))) > 60
 
 
-def test_quads_of_small_images_equal_reference(monkeypatch):
+@pytest.mark.parametrize("enlargement", [1, ENLARGEMENT])
+def test_quads_of_small_images_equal_reference(enlargement, monkeypatch):
     """Windows wider than the image are mirrored several times. Low limits let small regions count."""
-    parameters, found = search_parameters(range(1)), 0
+    parameters, found = search_parameters(range(1), enlargement), 0
     parameters.min_side_px, parameters.min_points = 3.0, 8
     parameters.min_area_px2, parameters.min_compactness = 4.0, 0.0
     monkeypatch.setattr(reference, "MIN_QUAD_SIDE_PX", 3.0)
     monkeypatch.setattr(reference, "MIN_COMPACTNESS", 0.0)
-    for height in range(4, 50, 2):
-        for width in range(4, 50, 2):
+    for height in range(2, 50, 2):
+        for width in range(2, 50, 2):
             places = whole(markers((width, height), 2, 2.0, 100 * height + width))
-            boundaries = reference.dark_boundaries(reference.dark_regions(places), 8)
+            searched = places if enlargement == 1 else reference.enlarged(places)
+            boundaries = reference.dark_boundaries(reference.dark_regions(searched), 8)
             expected = reference._quads_of(boundaries, GROWTH_PX, min_area_px2=4.0)
             quads, _ = library().quads(places.image, places.mask, parameters)
             assert_same_quads(quads, expected, min_side_px=3.0)
@@ -210,9 +213,10 @@ def test_invalid_blocks_are_rejected(gains, shifts, is_sharp):
         library().stretched(np.zeros((8, 8), np.uint8), gains, shifts, is_sharp)
 
 
-def test_window_that_is_not_compiled_is_rejected():
+@pytest.mark.parametrize(("name", "value"), [("small_window_px", 7), ("enlargement", 3)])
+def test_window_or_enlargement_not_compiled_is_rejected(name, value):
     parameters = search_parameters(range(2))
-    parameters.small_window_px = 7
+    setattr(parameters, name, value)
     with pytest.raises(InputError, match="windows of 3, 5, 9 and 21 px"):
         library().quads(np.zeros((4, 4), np.uint8), np.zeros((2, 2), np.uint8), parameters)
 

@@ -3,11 +3,11 @@
 import cv2
 import numpy as np
 import pytest
-from search_reference import dark_boundaries, dark_regions
+from search_reference import dark_boundaries, dark_regions, enlarged
 
 from skyherd.vision.search import regions
-from skyherd.vision.search.quads import MIN_POINTS
-from skyherd.vision.search.regions import ENLARGEMENT, crowded_places
+from skyherd.vision.search.quads import ENLARGEMENT, MIN_POINTS
+from skyherd.vision.search.regions import crowded_places
 
 SIZE_PX = (900, 700)
 
@@ -145,7 +145,7 @@ def test_enlarged_mosaic_has_the_same_squares():
     """The means of the boundaries agree to half a pixel of the image in both."""
     shapes = squares(2)
     places = crowded_places(drawn(shapes, noise=0.0))
-    in_image = (middles_of(places.enlarged()) + 0.5 + 0.5j) / ENLARGEMENT - 0.5 - 0.5j
+    in_image = (middles_of(enlarged(places)) + 0.5 + 0.5j) / ENLARGEMENT - 0.5 - 0.5j
     own = middles_of(places)
     for shape in shapes:
         middle = complex(*shape.mean(axis=0))

@@ -48,13 +48,19 @@ INLINE PixelBlur blur_at(const CentreBlur *blur, Floats x, Floats y, Floats w_sq
 
 /* Return w² of the perspective at pixels, px from the centre: (1 / (1 - Re(h̄ p)))². */
 INLINE Floats w_square_at(const Marker *marker, const Part *part) {
-    Floats square = {0};
-    for (int i = 0; i < LANES; i++) {
-        const double right = part->u[i] - marker->center.re, below = part->v[i] - marker->center.im;
-        const double w = 1 / (1 - (marker->perspective.re * right + marker->perspective.im * below));
-        square[i] = (float)(w * w);
+    EightInts u[LANES / EIGHT], v[LANES / EIGHT];
+    EightFloats squares[LANES / EIGHT];
+    memcpy(u, &part->u, sizeof u);
+    memcpy(v, &part->v, sizeof v);
+    for (int i = 0; i < LANES / EIGHT; i++) {
+        const Doubles right = __builtin_convertvector(u[i], Doubles) - marker->center.re;
+        const Doubles below = __builtin_convertvector(v[i], Doubles) - marker->center.im;
+        const Doubles w = 1 / (1 - (marker->perspective.re * right + marker->perspective.im * below));
+        squares[i] = __builtin_convertvector(w * w, EightFloats);
     }
-    return square;
+    Floats all_squares;
+    memcpy(&all_squares, squares, sizeof all_squares);
+    return all_squares;
 }
 
 /* G, σ_x G_x, σ_y G_y, σ_x² G_xx, σ_x σ_y G_xy and σ_y² G_yy. */

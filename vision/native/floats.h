@@ -23,6 +23,7 @@ enum { EIGHT = 8 };
 typedef float Floats __attribute__((vector_size(4 * LANES)));
 typedef int32_t Ints __attribute__((vector_size(4 * LANES)));
 typedef float EightFloats __attribute__((vector_size(4 * EIGHT)));
+typedef int32_t EightInts __attribute__((vector_size(4 * EIGHT)));
 typedef double Doubles __attribute__((vector_size(8 * EIGHT)));
 
 #define INLINE static inline __attribute__((always_inline))

@@ -165,11 +165,12 @@ static void visible_shares(const MarkerBlocks *blocks, int32_t n, double *shares
     for (int32_t i = 0; i < n * n; i++) shares[i] = used[i] / (read[i] > 1 ? read[i] : 1);
 }
 
-/* Read the visible pixels of all markers, solve, and step. Returns 0 or an error. */
-static int32_t take_round(const VisibleRequest *given, int with_margins, Plane *plane, Visible *visible) {
+/* Read the visible pixels of all markers in round `number` of `rounds`, solve, and step. Returns 0 or an error. */
+static int32_t take_round(const VisibleRequest *given, int32_t number, int32_t rounds, Plane *plane, Visible *visible) {
     const FitRequest *markers = given->markers;
     Steps *steps = &visible->steps;
     const int64_t cells = (int64_t)markers->n * markers->n;
+    const int32_t last_without_margins = rounds - given->constants->final_rounds;
     int32_t result = 0;
     for (int64_t k = 0; k < markers->count && !result; k++) {
         Pixels *pixels = steps->pixels + k;
@@ -177,10 +178,10 @@ static int32_t take_round(const VisibleRequest *given, int with_margins, Plane *
         result = draw_marker(markers, steps->start + k, steps->appearances + k, steps->round_in_image, pixels, k);
         const MarkerBlocks blocks = blocks_of(pixels);
         if (!result) result = make_room(visible, blocks.blocks * BLOCK_PX);
-        if (!result) result = choose_pixels(given, &blocks, k, with_margins, visible);
+        if (!result) result = choose_pixels(given, &blocks, k, number > last_without_margins, visible);
         if (result) return result;
         solve_marker(markers, pixels, restrict_to_used(&blocks, visible->used), &steps->free, k);
-        if (!with_margins) visible_shares(&blocks, markers->n, visible->supports + k * cells);
+        if (number == last_without_margins) visible_shares(&blocks, markers->n, visible->supports + k * cells);
     }
     if (!result)
         result = hold_visible_unknowns(markers, steps->start, &steps->free, given->settled, plane, &steps->held);
@@ -248,7 +249,7 @@ int32_t fit_visible(const VisibleRequest *given, Plane *plane, Fit *fits, double
     }
     steps->round_in_image = !is_level(plane) || markers->has_streak;
     for (int32_t number = 0; number < rounds && !result; number++) {
-        result = take_round(given, number > rounds - given->constants->final_rounds, plane, &visible);
+        result = take_round(given, number, rounds, plane, &visible);
         if (!result) lower_limits(given, &visible);
     }
     if (!result) result = write_fits(markers, steps, plane, fits, cell_means);

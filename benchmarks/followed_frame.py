@@ -23,7 +23,7 @@ from skyherd.vision import PhotometricDetector, create_detector
 from skyherd.vision.native.library import Library
 from skyherd.vision.photometric import detector as stages
 
-COMPILED = ("follow_markers", "fit_markers", "streak_evidence", "second_differences")
+COMPILED = ("follow_markers", "fit_any_blur", "streak_evidence", "second_differences")
 """Functions of the compiled library that a followed frame calls."""
 
 SEARCHES = ("find_quads", "find_small_quads", "find_faint_quads", "find_crossed_quads")

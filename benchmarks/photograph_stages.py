@@ -31,7 +31,7 @@ STAGES: Stages = {
     "second search": [
         (stages, name) for name in ("find_small_quads", "find_faint_quads", "find_crossed_quads")
     ],
-    "fits": [(Library, "fit_markers")],
+    "fits": [(Library, "fit_any_blur")],
 }
 """Stages that are timed separately."""
 

@@ -180,9 +180,18 @@ def fuzz_fit(library, rng, images=150):
 
 def fuzz_marker_fit(library, rng, image, cells, count):
     """Fit markers from random places in an image; return the number of pixels of those that are finite."""
-    from skyherd.vision.native.records import APPEARANCE, HOMOGRAPHY, PLANE, FitRequest, VisibleRequest
+    from skyherd.vision.native.records import (
+        APPEARANCE,
+        HOMOGRAPHY,
+        PLANE,
+        BlurRequest,
+        FitRequest,
+        VisibleRequest,
+    )
+    from skyherd.vision.photometric.fitting.appearance import appearance_constants
     from skyherd.vision.photometric.fitting.fit import fit_constants
     from skyherd.vision.photometric.fitting.occlusion import visible_constants
+    from skyherd.vision.photometric.refine import blur_constants
 
     if not count:
         return 0
@@ -208,6 +217,25 @@ def fuzz_marker_fit(library, rng, image, cells, count):
     border = int(rng.integers(0, 4))
     visible = VisibleRequest(FitRequest(*given), visible_constants(), blacks, contrasts, sigmas_px, border)
     library.fit_visible(visible, plane)
+    about = (
+        appearance_constants("4X4_50"),
+        blur_constants(),
+        3.0,
+        6,
+        False,
+        streak,
+        float(rng.choice([8, 144])),
+    )
+    blurs = (
+        image,
+        start,
+        np.abs(sigmas_px),
+        np.ascontiguousarray(looks["surroundings"]),
+        cells,
+        fit_constants(),
+        *about,
+    )
+    library.fit_any_blur(BlurRequest(*blurs, int(rng.integers(0, 7)), None), plane)
     fuzz_following(library, rng, image, cells, start)
     return int(np.nan_to_num(fits["pixels"]).sum())
 
@@ -233,13 +261,13 @@ def fuzz_following(library, rng, image, cells, places):
         limits = constants.verification
         for name in ("min_cell_px", "min_contrast", "min_area_share", "min_print_share"):
             setattr(limits, name, -np.inf)
-        for name, _ in [*limits._fields_, *constants._fields_]:
-            owner = limits if hasattr(limits, name) else constants
-            if name.startswith("max_") and name not in ("max_missed", "max_ratio", "max_sigma_cells"):
-                setattr(owner, name, np.inf)
+        for owner in (limits, constants, constants.blur):
+            for name, _ in owner._fields_:
+                if name.startswith("max_") and name not in ("max_missed", "max_ratio", "max_sigma_cells"):
+                    setattr(owner, name, np.inf)
         for name in ("model_share", "cell_model_share", "strong_cell_limit", "wrong_bits"):
             setattr(limits, name, np.inf)
-        limits.is_strong, constants.blur_settled, constants.outlier_share = 1, np.inf, np.inf
+        limits.is_strong, constants.blur.settled, constants.outlier_share = 1, np.inf, np.inf
     estimates = Estimates(*rng.choice([np.nan, 0.0, 1.0, 100.0], 4), (1.0, np.inf), 1.0)
     about = np.zeros(1, PLANE), estimates, fit_constants(), constants
     library.follow_markers(FollowRequest(image, tracks, cells, *about, float(rng.normal()), 3.0, 6))

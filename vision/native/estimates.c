@@ -20,12 +20,6 @@ double weighted_median(Weighted *values, int64_t count) {
     return values[count - 1].value;
 }
 
-/* Return the blur that a fit found within the limits that markers are fitted under, px. */
-double within_blur_limits(const FollowConstants *constants, const Fit *fit, int32_t n) {
-    const double most = fmax(constants->max_sigma_cells * side_px(&fit->homography) / n, constants->min_sigma_px);
-    return limited(fit->sigma_px, constants->min_sigma_px, most);
-}
-
 /* Return an earlier estimate moved towards a value, or the value if there is none. */
 static double moved_towards(const FollowConstants *constants, double value, double before) {
     return isnan(before) ? value : before + constants->learning_rate * (value - before);
@@ -35,7 +29,7 @@ static double moved_towards(const FollowConstants *constants, double value, doub
 typedef enum { SIGMA, NOISE, CONTRAST_LEVEL, PRINT } Quantity;
 
 static double quantity_of(const FollowRequest *given, const Fit *fit, Quantity quantity) {
-    if (quantity == SIGMA) return within_blur_limits(given->constants, fit, given->n);
+    if (quantity == SIGMA) return within_blur_limits(&given->constants->blur, fit, given->n);
     if (quantity == NOISE) return fit->noise_std;
     if (quantity == CONTRAST_LEVEL) return fit->contrast;
     return fit->contrast / fmax(fit->black + fit->contrast, 1.0);
@@ -99,7 +93,7 @@ void learn(const FollowRequest *given, Weighted *scratch, double *sigmas_px, Fol
     own->print_contrast = moved_towards(constants, usual(given, results, PRINT, scratch), own->print_contrast);
     pool_ratios(constants, results);
     for (int64_t k = 0; k < results->here; k++) {
-        const double found_px = within_blur_limits(constants, results->fits + k, given->n);
+        const double found_px = within_blur_limits(&constants->blur, results->fits + k, given->n);
         const int near = found_px == usual_px || fabs(log(found_px / usual_px)) < constants->max_log_blur_difference;
         sigmas_px[k] = near ? own->sigma_px : found_px;
     }

@@ -7,9 +7,10 @@
  *   3. sums.c            products of the columns; residuals, and their sums over cells and over boxes
  *   4. least_squares.c   the solution, with unknowns free, held or expected
  *   5. common_unknowns.c what all markers share: even light, the tone curve, the plane (plane_fit.c)
- * marker_pixels.c does steps 1 to 4 for one marker. visible_fit.c fits those pixels of markers that agree, where something
- * covers the others. free_fit.c fits markers that share no plane. streak.c asks settled markers for a streak of motion. homography.h
- * has the geometry of a marker. image_noise.c reads the noise of an image from the image alone.
+ * marker_pixels.c does steps 1 to 4 for one marker. any_blur.c fits markers of all sizes until they have found their blur.
+ * visible_fit.c fits those pixels of markers that agree, where something covers the others. free_fit.c fits markers that share
+ * no plane. streak.c asks settled markers for a streak of motion. homography.h has the geometry of a marker. image_noise.c
+ * reads the noise of an image from the image alone.
  *
  * The formulas are those of vision/photometric/fitting/design_matrix.py. Pixels are in the order of the markers, line by
  * line. All sums run in one order, so that all builds give equal
@@ -130,6 +131,25 @@ typedef struct {
     int32_t max_steps, alone, has_streak;
 } FitRequest;
 
+/* How markers look under a blur (fitting/appearance.py); texture in grey levels. */
+typedef struct { double quiet, outside_sigmas, inside_sigmas, ground_sigmas, texture, black_ratio; } AppearanceConstants;
+
+/* Limits of the blur, and which fits are worth another, of so many steps (refine.py). */
+typedef struct {
+    double min_sigma_px, max_sigma_cells, settled, min_contrast, max_wrong_share;
+    int32_t steps_per_round;
+} BlurConstants;
+
+/* Markers of any size under blurs that are not known. */
+typedef struct {
+    const FitRequest *markers;      /* where the first fit begins in the full-size image; appearances and texture are not used */
+    const Surroundings *around;     /* (count,) */
+    const AppearanceConstants *looks;
+    const BlurConstants *limits;
+    double max_side_px;             /* above which a marker is fitted in a shrunk image */
+    int32_t rounds, is_fitted;      /* most rounds after the first fit, and whether that is known */
+} BlurRequest;
+
 /* Constants of the fit to visible pixels; fitting/occlusion.py says why. */
 typedef struct {
     double inlier_sigmas, pixel_share, limit_factor, margin_sigmas, cover_share, min_visible_share, min_clear_share;
@@ -204,6 +224,10 @@ int32_t fit_plane(const PlaneLimits *limits, const Complex *points, const Comple
 int is_request_valid(const FitRequest *given);
 int32_t streak_evidence(const FitRequest *given, double *informations, double *scores);
 int32_t fit_markers(const FitRequest *given, Plane *plane, Fit *fits, double *cell_means);
+Appearance appearance_of(const AppearanceConstants *constants, double sigma, Surroundings around);
+double within_blur_limits(const BlurConstants *limits, const Fit *fit, int32_t n);
+int is_promising(const BlurConstants *limits, const Fit *fit, const double *cell_means, int32_t n);
+int32_t fit_any_blur(const BlurRequest *given, Plane *plane, double *sigmas_px, Fit *fits, double *cell_means, double *blurs);
 int32_t fit_visible(const VisibleRequest *given, Plane *plane, Fit *fits, double *cell_means);
 int32_t fit_freely(const FitRequest *given, double settled_px, Fit *fits, double *cell_means, double *covariances);
 

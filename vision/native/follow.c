@@ -29,21 +29,12 @@ static void release_scratch(Scratch *scratch) {
     free(scratch->weighted);
 }
 
-/* Return how a marker looks under a blur, in sides (fitting/appearance.py). */
-Appearance appearance_of(const FollowConstants *constants, double sigma, Surroundings around) {
-    const double quiet = constants->quiet, outside = constants->outside_sigmas * sigma, ratio = constants->black_ratio;
-    const double beyond = limited(quiet - constants->inside_sigmas * sigma, 0.0, outside);
-    const int reaches_ground = quiet - beyond < constants->ground_sigmas * sigma;
-    if (!isnan(around.level)) return (Appearance){sigma, 0.5 + outside, INFINITY, ratio, around};
-    return (Appearance){sigma, 0.5 + beyond, reaches_ground ? 0.5 + quiet : INFINITY, ratio, around};
-}
-
 static int32_t fit_in_view(const FollowRequest *given, Scratch *scratch, FollowResults *results) {
     const size_t sides = (size_t)given->n + 2, cells = sides * sides;
     for (int64_t k = 0; k < results->here; k++) {
         const int64_t row = results->rows[k];
         results->blurs[k] = given->tracks[row].sigma_px * blur_per_px(results->starts + k);
-        scratch->appearances[k] = appearance_of(given->constants, results->blurs[k], given->tracks[row].around);
+        scratch->appearances[k] = appearance_of(&given->constants->looks, results->blurs[k], given->tracks[row].around);
         memcpy(scratch->cells + (size_t)k * cells, given->cells + (size_t)row * cells, cells * sizeof *scratch->cells);
     }
     const FitRequest request = {
@@ -55,7 +46,7 @@ static int32_t fit_in_view(const FollowRequest *given, Scratch *scratch, FollowR
         .height = given->height,
         .width = given->width,
         .count = results->here,
-        .texture = given->constants->texture / given->noise,
+        .texture = given->constants->looks.texture / given->noise,
         .noise = given->noise,
         .n = given->n,
         .max_steps = given->max_steps,
@@ -65,14 +56,10 @@ static int32_t fit_in_view(const FollowRequest *given, Scratch *scratch, FollowR
 
 /* Return whether a fit may be of a marker, and has found the blur that was assumed (refine.py). */
 static int is_settled(const FollowRequest *given, const FollowResults *results, int64_t k) {
-    const FollowConstants *constants = given->constants;
-    const Fit *fit = results->fits + k;
-    const int32_t cells = given->n * given->n;
-    double worst = 0;
-    for (int32_t i = 0; i < cells; i++) worst = fmax(worst, fabs(results->cell_means[k * cells + i]));
-    const double found_px = within_blur_limits(constants, fit, given->n);
-    return fit->contrast >= constants->verification.min_contrast && worst < constants->max_wrong_share * fit->contrast &&
-           fabs(log(found_px / given->tracks[results->rows[k]].sigma_px)) <= constants->blur_settled;
+    const BlurConstants *limits = &given->constants->blur;
+    const double found_px = within_blur_limits(limits, results->fits + k, given->n);
+    return is_promising(limits, results->fits + k, results->cell_means + k * given->n * given->n, given->n) &&
+           fabs(log(found_px / given->tracks[results->rows[k]].sigma_px)) <= limits->settled;
 }
 
 /* Return the noise of an image, grey levels (image_noise.py). */

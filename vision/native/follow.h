@@ -49,12 +49,13 @@ typedef struct {
 /* Constants of following; the Python modules that have them say why. */
 typedef struct {
     double reach_sides, max_log_growth;                                             /* tracks.py */
-    double quiet, outside_sigmas, inside_sigmas, ground_sigmas, texture, black_ratio; /* fitting/appearance.py */
-    double max_side_px, min_sigma_px, max_sigma_cells, blur_settled, max_log_blur_difference, max_wrong_share;
+    double max_side_px, max_log_blur_difference;                                    /* refine.py */
     double streak_pixels, significant, min_streak_px2, streak_ridge;                /* refine.py, streak_evidence.py */
     double outlier_share, outlier_sigmas;                                           /* fitting/fit.py */
     double rounding_noise, median_difference;                                       /* image_noise.py */
     double learning_rate, forgotten, significant_ratio_error, min_ratio, max_ratio; /* state.py, correlated_noise.py */
+    AppearanceConstants looks;
+    BlurConstants blur;
     VerificationLimits verification;
     int32_t max_missed, streak_markers, saturation_margin, min_unsaturated_pixels;
 } FollowConstants;
@@ -95,8 +96,6 @@ enum { MAX_STREAK_MARKERS = 8 };
 typedef struct { double value, weight; } Weighted;
 
 double weighted_median(Weighted *values, int64_t count);
-double within_blur_limits(const FollowConstants *constants, const Fit *fit, int32_t n);
-Appearance appearance_of(const FollowConstants *constants, double sigma, Surroundings around);
 void predict(const Track *track, double time_s, double max_log_growth, Homography *place);
 double shift_sides(const Homography *before, const Homography *after);
 void find_in_view(const FollowRequest *given, FollowResults *results);

@@ -9,7 +9,16 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, Image, IntArray
 from skyherd.native.arguments import address, check_plane
-from skyherd.vision.native.records import FIT, HOMOGRAPHY, PLANE, SURROUNDINGS, FitConstants, Floats
+from skyherd.vision.native.records import (
+    FIT,
+    HOMOGRAPHY,
+    PLANE,
+    SURROUNDINGS,
+    AppearanceConstants,
+    BlurConstants,
+    FitConstants,
+    Floats,
+)
 
 TRACK = np.dtype(
     [
@@ -73,11 +82,12 @@ class FollowConstants(ctypes.Structure):
 
     _fields_ = (
         *_doubles("reach_sides max_log_growth"),
-        *_doubles("quiet outside_sigmas inside_sigmas ground_sigmas texture black_ratio"),
-        *_doubles("max_side_px min_sigma_px max_sigma_cells blur_settled max_log_blur_difference"),
-        *_doubles("max_wrong_share streak_pixels significant min_streak_px2 streak_ridge"),
+        *_doubles("max_side_px max_log_blur_difference"),
+        *_doubles("streak_pixels significant min_streak_px2 streak_ridge"),
         *_doubles("outlier_share outlier_sigmas rounding_noise median_difference learning_rate forgotten"),
         *_doubles("significant_ratio_error min_ratio max_ratio"),
+        ("looks", AppearanceConstants),
+        ("blur", BlurConstants),
         ("verification", VerificationLimits),
         ("max_missed", ctypes.c_int32),
         ("streak_markers", ctypes.c_int32),

@@ -19,6 +19,7 @@ from skyherd.vision.native.records import (
     MAX_SECOND_DIFFERENCE,
     PLANE,
     POSE_UNKNOWNS,
+    BlurRequest,
     FitRequest,
     VisibleRequest,
 )
@@ -60,6 +61,37 @@ class Library(SearchFunctions):
             InputError: an argument has another type, shape or memory layout, or is out of range.
         """
         return self._fit(self.functions.fit_markers, request.structure(), request, plane)
+
+    def fit_any_blur(
+        self, request: BlurRequest, plane: npt.NDArray[np.void]
+    ) -> tuple[npt.NDArray[np.void], Array, Array]:
+        """Fit markers of any size until they have found their blurs (`photometric.refine`).
+
+        Args:
+            request: the markers, N of them, at least one.
+            plane: (1,) of `PLANE`, the one that is known; that of the first fit replaces it.
+
+        Returns:
+            The fits (N,) of `FIT`, the mean residuals (N, n, n) over the cells, grey levels, and the standard
+            deviations (N,) of the blurs that were assumed, in marker sides.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is out of range.
+        """
+        count, n_cells = len(request.start), request.cells.shape[1] - 2
+        empty = np.empty(count, dtype=FIT), np.empty((count, n_cells, n_cells)), np.empty(count)
+        fits, means, blurs = request.fitted or empty
+        fits, means, blurs, sigmas_px = fits.copy(), means.copy(), blurs.copy(), request.sigmas_px.copy()
+        given = (
+            ctypes.byref(request.structure()),
+            address("plane", plane, PLANE, (1,)),
+            address("sigmas_px", sigmas_px, np.float64, (count,)),
+            address("fits", fits, FIT, (count,)),
+            address("cell_means", means, np.float64, (count, n_cells, n_cells)),
+            address("blurs", blurs, np.float64, (count,)),
+        )
+        check(self.functions.fit_any_blur(*given), ERRORS)
+        return fits, means, blurs
 
     def fit_visible(
         self, request: VisibleRequest, plane: npt.NDArray[np.void]
@@ -182,6 +214,7 @@ def declared(functions: ctypes.CDLL) -> Library:
         **search_signatures(),
         "count_second_differences": (integer, pointer, long, long, integer, integer, pointer),
         "fit_markers": (integer, pointer, pointer, pointer, pointer),
+        "fit_any_blur": (integer, *(pointer,) * 6),
         "fit_visible": (integer, pointer, pointer, pointer, pointer),
         "fit_freely": (integer, pointer, ctypes.c_double, *(pointer,) * 3),
         "streak_evidence": (integer, pointer, pointer, pointer),

@@ -236,6 +236,115 @@ class FitRequest:
         )
 
 
+class AppearanceConstants(ctypes.Structure):
+    """Constants of appearances, as in `fit.h`; see `fitting.appearance`."""
+
+    _fields_ = tuple(
+        (name, ctypes.c_double)
+        for name in ("quiet", "outside_sigmas", "inside_sigmas", "ground_sigmas", "texture", "black_ratio")
+    )
+
+
+class BlurConstants(ctypes.Structure):
+    """Limits of blurs, and of fits about them, as in `fit.h`; see `photometric.refine`."""
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_double)
+            for name in ("min_sigma_px", "max_sigma_cells", "settled", "min_contrast", "max_wrong_share")
+        ),
+        ("steps_per_round", ctypes.c_int32),
+    )
+
+
+class BlurRequestStructure(ctypes.Structure):
+    """Markers of any size under blurs that are not known; `BlurRequest` in `fit.h` has the same fields."""
+
+    _fields_ = (
+        ("markers", ctypes.POINTER(FitRequestStructure)),
+        ("around", ctypes.c_void_p),
+        ("looks", ctypes.POINTER(AppearanceConstants)),
+        ("limits", ctypes.POINTER(BlurConstants)),
+        ("max_side_px", ctypes.c_double),
+        ("rounds", ctypes.c_int32),
+        ("is_fitted", ctypes.c_int32),
+    )
+
+
+@dataclass(frozen=True)
+class BlurRequest:
+    """N markers of any size, at least one, under blurs that are not known.
+
+    Attributes:
+        image: grey, (height, width).
+        start: (N,) of `HOMOGRAPHY`.
+        sigmas_px: (N,) standard deviations of the blurs that the first fit assumes, px.
+        surroundings: (N,) of `SURROUNDINGS`.
+        cells: (N, n + 2, n + 2) 1 where a cell is black, 0 where it is white and on the ground around.
+        constants: of the fit.
+        looks: constants of the appearances.
+        limits: of the blurs, and of the fits.
+        noise: standard deviation of a pixel, grey levels.
+        max_steps: most steps of the first fit.
+        alone: whether each marker has a plane of its own in any case.
+        streak_px2: Q of the blur, px²; None for round blur.
+        max_side_px: side above which a marker is fitted in a shrunk image.
+        rounds: most fits after the first one.
+        fitted: (N,) of `FIT`, (N, n, n) mean residuals and (N,) blurs in sides of the first fit, if known.
+    """
+
+    image: Image
+    start: npt.NDArray[np.void]
+    sigmas_px: Array
+    surroundings: npt.NDArray[np.void]
+    cells: Floats
+    constants: FitConstants
+    looks: AppearanceConstants
+    limits: BlurConstants
+    noise: float
+    max_steps: int
+    alone: bool
+    streak_px2: complex | None
+    max_side_px: float
+    rounds: int
+    fitted: tuple[npt.NDArray[np.void], Array, Array] | None
+
+    def structure(self) -> BlurRequestStructure:
+        """Return the structure of the request, which is valid as long as its arrays.
+
+        Raises:
+            InputError: an array has another type, shape or memory layout.
+        """
+        count, sides, streak = len(self.start), self.cells.shape[1], self.streak_px2 or 0j
+        check_plane("image", self.image, None)
+        markers = FitRequestStructure(
+            self.image.ctypes.data,
+            address("start", self.start, HOMOGRAPHY, (count,)),
+            None,
+            address("cells", self.cells, np.float32, (count, sides, sides)),
+            ctypes.pointer(self.constants),
+            *self.image.shape,
+            count,
+            streak.real,
+            streak.imag,
+            0.0,
+            self.noise,
+            sides - 2,
+            self.max_steps,
+            self.alone,
+            self.streak_px2 is not None,
+        )
+        return BlurRequestStructure(
+            ctypes.pointer(markers),
+            address("surroundings", self.surroundings, SURROUNDINGS, (count,)),
+            ctypes.pointer(self.looks),
+            ctypes.pointer(self.limits),
+            self.max_side_px,
+            self.rounds,
+            self.fitted is not None,
+        )
+
+
 class VisibleConstants(ctypes.Structure):
     """Constants of the fit to visible pixels, as `VisibleConstants` in `fit.h`; see `fitting.occlusion`."""
 

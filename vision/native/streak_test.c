@@ -14,7 +14,7 @@ typedef struct {
 static void add_marker(const FollowRequest *given, const Fit *fit, const float *cells, Few *few) {
     const size_t sides = (size_t)given->n + 2, size = sides * sides;
     Appearance *look = few->appearances + few->count;
-    *look = appearance_of(given->constants, fit->sigma_px * blur_per_px(&fit->homography), fit->around);
+    *look = appearance_of(&given->constants->looks, fit->sigma_px * blur_per_px(&fit->homography), fit->around);
     look->black_ratio = fit->black / fmax(fit->contrast, 1.0);
     few->places[few->count] = fit->homography;
     memcpy(few->cells + (size_t)few->count * size, cells, size * sizeof *cells);
@@ -87,7 +87,7 @@ int32_t has_streak(const FollowRequest *given, const FollowResults *results, con
         .height = given->height,
         .width = given->width,
         .count = few.count,
-        .texture = given->constants->texture / noise,
+        .texture = given->constants->looks.texture / noise,
         .noise = noise,
         .n = given->n,
         .max_steps = given->max_steps,

@@ -17,14 +17,17 @@ turns makes different streaks of different markers; they are fitted under their 
 
 import math
 from dataclasses import replace
-from functools import partial, reduce
+from functools import cache
 
 import numpy as np
 
 from skyherd.geometry import UNIFORM_VARIANCE, Array, BoolArray, IntArray
 from skyherd.markers.dictionary import code_distance
 from skyherd.vision.grey import Image, block_means
-from skyherd.vision.photometric.fitting.fit import MAX_STEPS, USUAL_NOISE, fit_markers
+from skyherd.vision.native.library import library
+from skyherd.vision.native.records import BlurConstants, BlurRequest
+from skyherd.vision.photometric.fitting.appearance import appearance_constants, black_cells
+from skyherd.vision.photometric.fitting.fit import MAX_STEPS, USUAL_NOISE, fit_constants
 from skyherd.vision.photometric.fitting.fit_result import FitResults, weighted_median
 from skyherd.vision.photometric.fitting.local_homography import LocalHomographies
 from skyherd.vision.photometric.fitting.occlusion import fit_visible
@@ -54,40 +57,38 @@ def fit_all_sizes(
     max_side_px: float = MAX_SIDE_PX,
     streak_px2: complex | None = None,
     surroundings: Surroundings | None = None,
+    blur_rounds: int = 0,
+    fitted: tuple[FitResults, Plane] | None = None,
 ) -> tuple[FitResults, Plane]:
     """Do as `fit_markers`, with each marker at a resolution that suits it.
 
     Arguments and results are those of `fit_markers` and refer to the full-size image; the plane is that of
     the smallest markers. Markers of more than `max_side_px` are fitted in a shrunk image.
+
+    Markers are fitted again up to `blur_rounds` times about the blurs that they found. The first fit may be
+    given as `fitted`.
     """
-    sigmas_px = np.broadcast_to(np.asarray(sigma_px, dtype=float), (ids.size,))
-    octaves = size_octaves(homographies, max_side_px)
-    if not octaves.any():
-        given = image, dictionary, ids, homographies, sigma_px, plane, noise, max_steps
-        return fit_markers(*given, alone=alone, streak_px2=streak_px2, surroundings=surroundings)
-    parts: list[FitResults] = []
-    order: list[IntArray] = []
-    fitted_plane = plane
-    for octave in np.unique(octaves):
-        rows, scaled = np.flatnonzero(octaves == octave), ScaledImage(image, 2 ** int(octave))
-        order.append(rows)
-        fits, here = fit_markers(
-            scaled.image,
-            dictionary,
-            ids[rows],
-            homographies.take(rows).scaled(scaled.shrink),
-            scaled.sigmas_px(sigmas_px[rows]),
-            scaled.plane(plane),
-            scaled.noise(noise),
-            max_steps,
-            alone=alone,
-            streak_px2=None if streak_px2 is None else streak_px2 / scaled.shrink**2,
-            surroundings=None if surroundings is None else surroundings.take(rows),
-        )
-        parts.append(scaled.full_size(fits))
-        if len(parts) == 1:
-            fitted_plane = scaled.full_size_plane(here)
-    return reduce(FitResults.joined, parts).take(np.argsort(np.concatenate(order))), fitted_plane
+    around = Surroundings.of_cards(ids.size) if surroundings is None else surroundings
+    request = BlurRequest(
+        image=np.ascontiguousarray(image),
+        start=homographies.records(),
+        sigmas_px=np.array(np.broadcast_to(sigma_px, (ids.size,)), dtype=float),
+        surroundings=around.records(),
+        cells=black_cells(dictionary, ids),
+        constants=fit_constants(),
+        looks=appearance_constants(dictionary),
+        limits=blur_constants(),
+        noise=noise,
+        max_steps=max_steps,
+        alone=alone,
+        streak_px2=streak_px2,
+        max_side_px=max_side_px,
+        rounds=blur_rounds,
+        fitted=fitted[0].records() if fitted else None,
+    )
+    found = (fitted[1] if fitted else plane).record()
+    fits = FitResults.of_records(ids, *library().fit_any_blur(request, found))
+    return fits, Plane.of_record(found)
 
 
 def fit_visible_all_sizes(
@@ -112,7 +113,7 @@ def fit_visible_all_sizes(
         refitted, there = fit_visible(
             scaled.image,
             dictionary,
-            replace(covered, homographies=covered.homographies.scaled(scaled.shrink)),
+            replace(covered, homographies=scaled.homographies(covered.homographies)),
             scaled.sigmas_px(sigmas_px[rows]),
             scaled.plane(plane),
             scaled.noise(noise),
@@ -139,13 +140,17 @@ class ScaledImage:
         self.shrink = shrink
         self.image = image if shrink == 1 else block_means(image, shrink)
 
+    def homographies(self, homographies: LocalHomographies) -> LocalHomographies:
+        """Return homographies into the shrunk image, from those into the full-size one."""
+        return homographies if self.shrink == 1 else homographies.scaled(self.shrink)
+
     def sigmas_px(self, sigmas_px: Array) -> Array:
         """Return blurs (N,) of lens and pixel in shrunk pixels, from those in full-size pixels."""
-        return _with_pixel(np.maximum(sigmas_px**2 - UNIFORM_VARIANCE, 0.0) / self.shrink**2)
+        return sigmas_px if self.shrink == 1 else _rescaled(sigmas_px, 1 / self.shrink)
 
     def full_size_sigmas_px(self, sigmas_px: Array) -> Array:
         """Return blurs (N,) of lens and pixel in full-size pixels, from those in shrunk pixels."""
-        return _with_pixel(np.maximum(sigmas_px**2 - UNIFORM_VARIANCE, 0.0) * self.shrink**2)
+        return sigmas_px if self.shrink == 1 else _rescaled(sigmas_px, self.shrink)
 
     def noise(self, noise: float) -> float:
         """Return the standard deviation of a shrunk pixel, grey levels: that of a mean, rounded once more."""
@@ -153,14 +158,16 @@ class ScaledImage:
 
     def plane(self, plane: Plane) -> Plane:
         """Return the plane in shrunk pixels, from that in full-size ones."""
-        return plane.scaled(1 / self.shrink)
+        return plane if self.shrink == 1 else plane.scaled(1 / self.shrink)
 
     def full_size_plane(self, plane: Plane) -> Plane:
         """Return the plane in full-size pixels, from that in shrunk ones."""
-        return plane.scaled(self.shrink)
+        return plane if self.shrink == 1 else plane.scaled(self.shrink)
 
     def full_size(self, fits: FitResults) -> FitResults:
         """Return results of fits in the shrunk image in pixels of the full-size one."""
+        if self.shrink == 1:
+            return fits
         scale = np.diag([self.shrink, self.shrink, 1.0])
         return replace(
             fits,
@@ -172,9 +179,10 @@ class ScaledImage:
         )
 
 
-def _with_pixel(variances: Array) -> Array:
-    """Return standard deviations (N,) of lenses of given variances, px², and a square pixel together."""
-    return np.asarray(np.sqrt(variances + UNIFORM_VARIANCE))
+def _rescaled(sigmas_px: Array, factor: float) -> Array:
+    """Return blurs (N,) of lens and square pixel in an image `factor` times as large."""
+    lens_px2 = np.maximum(sigmas_px**2 - UNIFORM_VARIANCE, 0.0)
+    return np.asarray(np.sqrt(lens_px2 * factor**2 + UNIFORM_VARIANCE))
 
 
 START_SIGMA_PX = 0.6
@@ -240,31 +248,35 @@ def fit_any_blur(
     Returns:
         The results in the order of `ids`, and the plane that they put the markers on.
     """
-    sigmas_px = np.array(np.broadcast_to(sigmas_px, (ids.size,)), dtype=float)
-    fit = partial(
-        fit_all_sizes,
+    return fit_all_sizes(
         image,
         dictionary,
-        noise=noise,
+        ids,
+        homographies,
+        sigmas_px,
+        plane,
+        noise,
+        max_steps,
         alone=alone,
         max_side_px=max_side_px,
         streak_px2=streak_px2,
+        surroundings=surroundings,
+        blur_rounds=BLUR_ROUNDS,
+        fitted=fitted,
     )
-    fits, plane = fitted or fit(
-        ids, homographies, sigmas_px, plane, max_steps=max_steps, surroundings=surroundings
+
+
+@cache
+def blur_constants() -> BlurConstants:
+    """Return the limits of blurs, and of fits about them, for the compiled library."""
+    return BlurConstants(
+        min_sigma_px=MIN_SIGMA_PX,
+        max_sigma_cells=MAX_SIGMA_CELLS,
+        settled=BLUR_SETTLED,
+        min_contrast=MIN_MARKER_CONTRAST,
+        max_wrong_share=MAX_WRONG_SHARE,
+        steps_per_round=STEPS_PER_ROUND,
     )
-    for _ in range(BLUR_ROUNDS):
-        found_px = _within_limits(fits)
-        rows = np.flatnonzero(is_promising(fits) & (np.abs(np.log(found_px / sigmas_px)) > BLUR_SETTLED))
-        if not rows.size:
-            break
-        sigmas_px[rows], near = found_px[rows], fits.homographies.take(rows)
-        around = fits.surroundings.take(rows)
-        again, _ = fit(
-            ids[rows], near, sigmas_px[rows], plane, max_steps=STEPS_PER_ROUND, surroundings=around
-        )
-        fits = fits.put(rows, again)
-    return fits, plane
 
 
 def usual_sigma_px(fits: FitResults) -> float:

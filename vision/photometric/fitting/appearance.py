@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from skyherd.geometry import Array, BoolArray, IntArray
 from skyherd.markers.dictionary import card_side, cells_per_side, marker_cells
-from skyherd.vision.native.records import APPEARANCE
+from skyherd.vision.native.records import APPEARANCE, AppearanceConstants
 from skyherd.vision.photometric.fitting.plane import Plane
 from skyherd.vision.photometric.fitting.surroundings import Surroundings
 
@@ -116,6 +116,19 @@ def appearances_of(
         texture=TEXTURE / noise,
         round_in_image=plane != Plane() or streak_px2 is not None,
         streak_px2=streak_px2,
+    )
+
+
+@lru_cache(maxsize=16)
+def appearance_constants(dictionary: str) -> AppearanceConstants:
+    """Return the constants of the appearances of a dictionary's markers for the compiled library."""
+    return AppearanceConstants(
+        quiet=quiet_zone(dictionary),
+        outside_sigmas=OUTSIDE_SIGMAS,
+        inside_sigmas=INSIDE_SIGMAS,
+        ground_sigmas=GROUND_SIGMAS,
+        texture=TEXTURE,
+        black_ratio=USUAL_BLACK_RATIO,
     )
 
 

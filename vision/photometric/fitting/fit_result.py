@@ -93,6 +93,18 @@ class FitResults(RowRecord):
             **{name: fits[name] for name in FIT.names or () if name not in ("homography", "surroundings")},
         )
 
+    def records(self) -> tuple[npt.NDArray[np.void], Array, Array]:
+        """Return the records (N,) of `FIT`, cell means and blurs, in marker sides, of `of_records`."""
+        records = np.empty(self.ids.size, dtype=FIT)
+        records["homography"], records["surroundings"] = (
+            self.homographies.records(),
+            self.surroundings.records(),
+        )
+        for name in FIT.names or ():
+            if name not in ("homography", "surroundings"):
+                records[name] = getattr(self, name)
+        return records, self.cell_means, self.blurs_cells / self.cell_means.shape[1]
+
     def print_contrasts(self) -> Array:
         """Return the print contrasts (N,), a share of white; see the function of this name."""
         return print_contrasts(self.blacks, self.contrasts)

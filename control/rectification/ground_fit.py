@@ -165,11 +165,11 @@ class _Linearization:
             weights=np.repeat(weights, 2),
         )
 
-    def information(self) -> list[Information]:
-        """Return information on the unknowns from sides and from anisotropies, for variance factors of 1."""
+    def information(self) -> Information:
+        """Return information on the unknowns, from sides and from anisotropies, for variance factors of 1."""
         weighted = self.jacobian.transpose(0, 2, 1) * self.weights
         vectors = weighted @ (self.residuals + self.jacobian @ self.at)[..., None]
-        return [Information(*parts) for parts in zip(weighted @ self.jacobian, vectors[..., 0], strict=True)]
+        return Information(weighted @ self.jacobian, vectors[..., 0])
 
     def residuals_at(self, unknowns: Array) -> Array:
         """Return residuals (2, M) at other values (10,) of the unknowns."""
@@ -199,12 +199,11 @@ def fit_ground(
     for _ in range(ROUNDS):
         lines = _Linearization.of(squares, unknowns, robust)
         parts = lines.information()
-        scaled = _scaled(parts, factors)
-        full, covariance = (before + (scaled[SIDES] + scaled[ANISOTROPIES])).estimate()
+        scaled = parts.scaled(1 / factors)
+        full, covariance = (before + scaled.total()).estimate()
         here = _noise_statistics(lines, full, parts=scaled, covariance=covariance)
         factors = noises.accumulated(here).variance_factors(reported=squares.reported)
-        scaled = _scaled(parts, factors)
-        image = scaled[SIDES] + scaled[ANISOTROPIES]
+        image = parts.scaled(1 / factors).total()
         everything = before + image
         significant = everything.significant(GROUPS, after=AFTER, threshold=SIGNIFICANT)
         unknowns = everything.constrained_mean([k for k in significant if k in trusted])
@@ -223,13 +222,8 @@ def fit_ground(
     )
 
 
-def _scaled(parts: list[Information], factors: Array) -> list[Information]:
-    """Return information from sides and from anisotropies by their variance factors (2,)."""
-    return [part.scaled(1 / factor) for part, factor in zip(parts, factors, strict=True)]
-
-
 def _noise_statistics(
-    lines: _Linearization, full: Array, *, parts: list[Information], covariance: Array
+    lines: _Linearization, full: Array, *, parts: Information, covariance: Array
 ) -> NoiseStatistics:
     """Return squared residuals at the estimate (10,) with all unknowns free, and their degrees of freedom.
 
@@ -237,7 +231,7 @@ def _noise_statistics(
     """
     squares = (lines.residuals_at(full) ** 2 * lines.weights).sum(axis=1)
     numbers = np.array([lines.weights.size / 2 - 1, lines.weights.size])
-    fitted = [float((part.matrix * covariance).sum()) for part in parts]
+    fitted = (parts.matrix * covariance).sum(axis=(1, 2))
     return NoiseStatistics(squares, np.maximum(numbers - fitted, 0.0))
 
 

@@ -74,8 +74,8 @@ def local_maps(unknowns: Array, points: ComplexArray) -> LocalMaps:
     """Return the map and its derivatives for unknowns (..., 10) at image points (N,); arrays (..., N)."""
     raw = _raw_maps(unknowns[..., None, :], np.concatenate([_FIXED, points]))
     origin, derivative = raw.values[..., :1], raw.derivatives[..., :1]
-    radius = np.abs((raw.values[..., 1:5] - origin) / derivative).mean(axis=-1, keepdims=True)
-    factor = 1 / (derivative * radius)
+    radii = np.abs((raw.values[..., 1:5] - origin) / derivative)
+    factor = 1 / (derivative * (radii.sum(axis=-1, keepdims=True) / 4))
     return LocalMaps(
         values=(raw.values[..., 5:] - origin) * factor,
         derivatives=raw.derivatives[..., 5:] * factor,
@@ -85,10 +85,9 @@ def local_maps(unknowns: Array, points: ComplexArray) -> LocalMaps:
 
 def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
     """Return the map as in `local_maps`, before rotation, scale and origin are fixed."""
-    a = unknowns[..., 0] + 1j * unknowns[..., 1]
-    k1, k2, k3 = unknowns[..., 2], unknowns[..., 3], unknowns[..., 4]
-    h = unknowns[..., 8] + 1j * unknowns[..., 9]
-    away = p - (unknowns[..., 5] + 1j * unknowns[..., 6])
+    a, center, h = (to_complex(unknowns[..., k : k + 2]) for k in (0, 5, 8))
+    k1, k2, k3, focal_term = (unknowns[..., k] for k in (2, 3, 4, 7))
+    away = p - center
     square = 1 / (1 - np.abs(a) ** 2)
     # Chain rule of the Wirtinger derivatives, `d· = (first) dp + (second) dp̄`.
     r, r_p, r_c = (away - a * away.conj()) * square, square, -a * square
@@ -96,15 +95,16 @@ def _raw_maps(unknowns: Array, p: ComplexArray) -> LocalMaps:
     bend = np.maximum(1 + rho * (k1 + rho * (k2 + rho * k3)), MIN_FACTOR)
     growth = (k1 + rho * (2 * k2 + 3 * rho * k3)) / bend**2
     s, s_r, s_rc = r / bend, 1 / bend - rho * growth, -r * r * growth
-    s_p, s_c = s_r * r_p + s_rc * np.conj(r_c), s_r * r_c + s_rc * np.conj(r_p)
+    s_p, s_c = s_r * r_p + s_rc * r_c.conj(), s_r * r_c + s_rc * r_p
     # Below 1/2, f² is continued by an exponential: it stays positive with a nonzero slope.
-    square_focal = np.maximum(1 + unknowns[..., 7], np.exp(np.minimum(2 * unknowns[..., 7] + 1, 0)) / 2)
+    square_focal = np.maximum(1 + focal_term, np.exp(np.minimum(2 * focal_term + 1, 0)) / 2)
     focal = USUAL_FOCAL * np.sqrt(square_focal)
     foreshortening = (focal * h / (1 + np.sqrt(1 + (focal * np.abs(h)) ** 2))) ** 2
-    w = np.maximum(1 - (np.conj(h) * s).real, MIN_FACTOR)
+    w = np.maximum(1 - (h.conj() * s).real, MIN_FACTOR)
     q = (s + foreshortening * s.conj()) / w
-    q_s, q_sc = (1 + q * np.conj(h) / 2) / w, (foreshortening + q * h / 2) / w
-    return LocalMaps(q, q_s * s_p + q_sc * np.conj(s_c), q_s * s_c + q_sc * np.conj(s_p))
+    half = h / 2
+    q_s, q_sc = (1 + q * half.conj()) / w, (foreshortening + q * half) / w
+    return LocalMaps(q, q_s * s_p + q_sc * s_c.conj(), q_s * s_c + q_sc * s_p.conj())
 
 
 @dataclass(frozen=True)

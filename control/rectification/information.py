@@ -27,7 +27,10 @@ class Estimate(NamedTuple):
 
 @dataclass(frozen=True)
 class Information:
-    """Information on n unknowns: the matrix Λ (n, n), positive semidefinite, and the vector b (n,)."""
+    """Information on n unknowns: the matrix Λ (n, n), positive semidefinite, and the vector b (n,).
+
+    `scaled` and `total` also take a stack of K such: Λ (K, n, n) and b (K, n).
+    """
 
     matrix: Array
     vector: Array
@@ -50,9 +53,14 @@ class Information:
         """Return this without `other`, which is part of it."""
         return Information(self.matrix - other.matrix, self.vector - other.vector)
 
-    def scaled(self, factor: float) -> "Information":
-        """Return the same estimate with its covariance divided by `factor`."""
-        return Information(factor * self.matrix, factor * self.vector)
+    def scaled(self, factor: float | Array) -> "Information":
+        """Return the same estimate with its covariance divided by `factor`, or by one (K,) of each."""
+        factor = np.asarray(factor)[..., None]
+        return Information(factor[..., None] * self.matrix, factor * self.vector)
+
+    def total(self) -> "Information":
+        """Return the sum of a stack of information from independent data."""
+        return Information(self.matrix.sum(axis=0), self.vector.sum(axis=0))
 
     def marginal(self, count: int) -> "Information":
         """Return information on the first `count` unknowns, without further information on the others.
@@ -114,8 +122,8 @@ class Information:
             threshold: minimum decrease of the chi-squared.
         """
         free: list[int] = []
-        # S and b̃ of all unknowns, (n, n + 1); freeing unknown k eliminates it from the others.
-        reduced = np.concatenate([self.matrix, self.vector[:, None]], axis=1)
+        # S and b̃ of all unknowns, n rows of n + 1; lists, since arrays take longer for so few numbers.
+        reduced = [[*row, b] for row, b in zip(self.matrix.tolist(), self.vector.tolist(), strict=True)]
         waiting = dict(groups)
         while waiting:
             candidates = {name: group for name, group in waiting.items() if after.get(name) not in waiting}
@@ -125,13 +133,21 @@ class Information:
                 break
             for k in waiting.pop(best):
                 free.append(k)
-                reduced = reduced - np.outer(reduced[:, k], reduced[k] / reduced[k, k])
+                reduced = _eliminated(reduced, k)
         return free
 
 
-def _chi_squared_fall(reduced: Array, group: Sequence[int]) -> float:
-    """Return b̃ᵀ S⁻¹ b̃ of a group, from S and b̃ (n, n + 1) of all unknowns."""
-    vector = reduced[group, -1]
-    if len(group) == 1:
-        return float(vector[0] ** 2 / reduced[group[0], group[0]])
-    return float(vector @ np.linalg.solve(reduced[group][:, group], vector))
+def _chi_squared_fall(reduced: list[list[float]], group: Sequence[int]) -> float:
+    """Return b̃ᵀ S⁻¹ b̃ of a group: the sum of b̃² / S of its unknowns, which are freed one after the other."""
+    part, fall = [[reduced[row][column] for column in (*group, -1)] for row in group], 0.0
+    while part:
+        (pivot, *first), *others = part
+        fall += first[-1] ** 2 / pivot
+        part = [[x - across / pivot * y for x, y in zip(row, first, strict=True)] for across, *row in others]
+    return fall
+
+
+def _eliminated(reduced: list[list[float]], k: int) -> list[list[float]]:
+    """Return S and b̃, n rows of n + 1, after unknown k is freed, which eliminates it from the others."""
+    pivot = [value / reduced[k][k] for value in reduced[k]]
+    return [[value - row[k] * share for value, share in zip(row, pivot, strict=True)] for row in reduced]

@@ -142,15 +142,16 @@ class Rectifier:
         if not here.size:
             return camera
         growth = median(self._ground_log_sides(squares)[here] - self._log_sides[there])
-        variance = float(np.mean(squares.variances[here] + self._previous.variances[there])) / here.size
+        variances = squares.variances[here] + self._previous.variances[there]
+        variance = float(variances.sum() / here.size) / here.size
         factors = self.noises.variance_factors(reported=squares.reported)
         if growth**2 < ZOOM_DEVIATIONS**2 * variance * factors[SIDES]:
             return camera
-        changes = np.zeros(CAMERA)
+        changes, lens = np.zeros(CAMERA), self.ground_map.unknowns[LENS]
         changes[FOCAL] = growth * 2.0 * (1 + self.ground_map.unknowns[FOCAL])
-        changes[LENS] = growth * np.array([2.0, 4.0, 6.0]) * self.ground_map.unknowns[LENS]
-        if self.ground_map.unknowns[LENS].any():
-            changes[LENS] = np.abs(changes[LENS]) + abs(growth) * ZOOM_BENDS * PRIOR[LENS]
+        if lens.any():
+            bends = np.abs(growth * np.array([2.0, 4.0, 6.0]) * lens)
+            changes[LENS] = bends + abs(growth) * ZOOM_BENDS * PRIOR[LENS]
         return camera.diffused(changes**2)
 
     def _fresh(self, squares: Squares) -> float:

@@ -55,7 +55,9 @@ def wrap_angle(angle_rad: npt.ArrayLike) -> Array:
 def to_complex(points: npt.ArrayLike) -> ComplexArray:
     """Return points (..., 2) as complex numbers (...), `x + iy`."""
     points = np.asarray(points, dtype=float)
-    return np.asarray(points[..., 0] + 1j * points[..., 1])
+    z = np.empty(points.shape[:-1], dtype=complex)
+    z.real, z.imag = points[..., 0], points[..., 1]
+    return z
 
 
 def to_points(z: npt.ArrayLike) -> Array:
@@ -122,7 +124,7 @@ def fit_squares(corners: ComplexArray) -> SquareImages:
         center = Σ p_k / 4,  m = Σ p_k q̄_k / Σ |q_k|²,  k = Σ p_k q_k / Σ |q_k|².
     """
     return SquareImages(
-        centers=np.asarray(corners.mean(axis=1)),
+        centers=np.asarray(corners.sum(axis=1) / 4),
         similarities=np.asarray(corners @ SQUARE_CORNERS.conj() / SQUARE_POWER),
         anisotropies=np.asarray(corners @ SQUARE_CORNERS / SQUARE_POWER),
     )

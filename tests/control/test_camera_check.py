@@ -18,6 +18,8 @@ from skyherd.control import (
     Wheels,
 )
 from skyherd.control.camera_check import (
+    JUMP_SIDES,
+    JUMPING,
     MIN_PACE_SIDES_PS,
     RECURRING,
     RECURRING_S,
@@ -26,6 +28,7 @@ from skyherd.control.camera_check import (
     CameraCheck,
 )
 from skyherd.control.image_delay import MAX_DELAY_S, MEMORY_S
+from skyherd.control.team_view import TeamView
 from skyherd.messages import MotionGoals, Proximity
 
 pytestmark = pytest.mark.smoke
@@ -310,6 +313,20 @@ class TestReplayed:
         scene.run(1.0)
         scene.sides[2] += 8.0
         assert not scene.step()
+
+    def test_jumps_are_motions_relative_to_most_robots(self) -> None:
+        """For motions of up to twice the reach, among which both outcomes are frequent."""
+        check, seen, rng = CameraCheck(RULE, IDS), np.ones(IDS.size, dtype=bool), np.random.default_rng(2)
+        reach_sides, expected = JUMP_SIDES + RULE.max_speed_mps / SIDE_M * FRAME_S, []
+        for share in np.linspace(0.1, 2.0, 200):
+            points, ways = 6 * rng.normal(size=(2, IDS.size, 2)) @ [1, 1j]
+            moves = share * reach_sides * ways / np.abs(ways)
+            last = TeamView(0.0, SIDE_PX * points, seen, SIDE_PX)
+            view = TeamView(FRAME_S, SIDE_PX * (points + moves), seen, SIDE_PX)
+            jumping = np.mean(view.relative_sides(last, seen) > reach_sides) >= JUMPING
+            assert check._jumps(view, last) == jumping
+            expected.append(jumping)
+        assert 0.1 < np.mean(expected) < 0.9
 
     @pytest.mark.parametrize("turn_rad", [0.3, 3.0])
     def test_moving_camera_is_no_fault(self, scene, turn_rad) -> None:

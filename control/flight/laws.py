@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from skyherd.control.policy import NO_ROBOTS, FlightLaw, FlightTask
 from skyherd.geometry import Array, IntArray
-from skyherd.messages import Detections, FlightCommand, UnitReport, among, centred
+from skyherd.messages import Detections, FlightCommand, UnitReport, among
 from skyherd.messages.checks import check_numbers
 
 
@@ -80,7 +80,7 @@ class Follow(FlightLaw):
         keep = among(seen.ids, kept.union(task.sought_ids.tolist()))
         if not keep.any():
             return FlightCommand.hold(seen.unit_id)
-        points = centred(seen.centers_px, seen.image_size_px)[keep]
+        points = seen.centred[keep]
         excess = float(seen.centre_distances[keep].max()) - self.desired_radius
         climb = excess - min(max(excess, -self.dead_band), self.dead_band)
         return FlightCommand(
@@ -158,7 +158,7 @@ class Perimeter(FlightLaw):
     def command(self, seen: Detections, task: FlightTask, reports: Sequence[UnitReport]) -> FlightCommand:
         """Return the velocity along the hull of the controlled robots."""
         robots = seen.select(task.controlled_ids)
-        points = centred(robots.centers_px, robots.image_size_px)
+        points = robots.centred
         edge = _nearest_hull_edge(points)
         if edge is None:
             return FlightCommand.hold(seen.unit_id, self.yaw_rate_radps)

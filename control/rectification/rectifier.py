@@ -40,7 +40,7 @@ from skyherd.control.rectification.ground_map import (
 from skyherd.control.rectification.information import Information
 from skyherd.control.rectification.square_shapes import Squares, log_sides
 from skyherd.geometry import Array, ComplexArray, fit_squares, median, to_complex, to_points
-from skyherd.messages import Detections, centred
+from skyherd.messages import Detections
 from skyherd.messages.checks import check_kind
 
 MIN_MARKERS = 3
@@ -162,7 +162,7 @@ class Rectifier:
         fresh = np.ones(len(squares))
         moved = np.abs(squares.points[here] - self._previous.points[there])
         fresh[here] = np.minimum(1.0, moved / (FRESH_SIDES * np.exp(squares.log_sides[here])))
-        return float(fresh.mean())
+        return float(fresh.sum() / fresh.size)
 
 
 def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
@@ -187,7 +187,7 @@ def rectified(seen: Detections, ground_map: GroundMap) -> Detections:
     size, half = seen.image_size_px, seen.image_size_px.min() / 2
     corners = ground_map.rectified_px(seen.corners_px.reshape(-1, 2), size).reshape(-1, 4, 2)
     before, after = (fit_squares(to_complex(c)) for c in (seen.corners_px, corners))
-    maps = local_maps(ground_map.unknowns + STEPS, to_complex(centred(seen.centers_px, size)))
+    maps = local_maps(ground_map.unknowns + STEPS, to_complex(seen.centred))
     by_map = _without_similarity(_pose_by_map(maps, half), maps.values[0] * half)
     by_pose = _pose_by_pose(maps.derivatives[0], maps.conjugate_derivatives[0], seen.headings_rad)
     return replace(

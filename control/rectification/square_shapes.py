@@ -68,7 +68,7 @@ class Squares:
             variances = (UNKNOWN_ERROR_PX / seen.sides_px) ** 2 / 2
         return cls(
             ids=seen.ids,
-            points=to_complex(centred(seen.centers_px, seen.image_size_px)),
+            points=to_complex(seen.centred),
             log_sides=log_sides(images),
             anisotropies=relative_anisotropies(images),
             variances=variances,

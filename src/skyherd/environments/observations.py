@@ -15,7 +15,7 @@ from skyherd.control import MarkerGains
 from skyherd.environments.knowledge import Cast, Knowledge, View
 from skyherd.errors import InputError
 from skyherd.geometry import Array, Image, IntArray
-from skyherd.messages import Detections, among, centred, find_rows
+from skyherd.messages import Detections, among, find_rows
 
 MAX_SIDES = 100.0
 """Bound of lengths, marker sides. Chosen: beyond the shapes of the built-in scenarios."""
@@ -131,7 +131,7 @@ class UnitVectors(Observer):
         half_px = float(seen.image_size_px.min()) / 2
         side = float(seen.sides_px.mean()) / half_px
         rows[at, 0] = 1.0
-        rows[at, 1:3] = centred(seen.centers_px, seen.image_size_px) / side
+        rows[at, 1:3] = seen.centred / side
         rows[at, 3] = side
         rows[at, 4] = among(seen.ids, view.controlled_ids)
         rows[at, 5] = time_s - view.detections.time_s
@@ -171,7 +171,7 @@ class _DetectionRows:
             return rows
         at, seen = _by_id(self.marker_ids, view.detections)
         rows[at, 0] = 1.0
-        rows[at, 1:3] = centred(seen.centers_px, seen.image_size_px)
+        rows[at, 1:3] = seen.centred
         rows[at, 3], rows[at, 4] = np.cos(seen.headings_rad), np.sin(seen.headings_rad)
         rows[at, 5] = 2 * seen.sides_px / seen.image_size_px.min()
         rows[at, 6] = time_s - seen.time_s

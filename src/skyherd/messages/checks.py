@@ -4,6 +4,7 @@ A meaningless number (NaN, a negative gain) would silently make every command me
 further bounds (`datasets/configuration`); these checks apply to every user of the library.
 """
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -47,20 +48,20 @@ def check_numbers(
         InputError: a field is not a number, not finite, or of the wrong sign.
     """
     for names, least, allowed in (
-        (positive, np.nextafter(0, 1), "a number above 0"),
+        (positive, math.ulp(0.0), "a number above 0"),
         (not_negative, 0.0, "a number of 0 or more"),
-        (finite, -np.inf, "a finite number"),
+        (finite, -math.inf, "a finite number"),
     ):
         for name in names:
             value = getattr(owner, name)
-            if not _is_number(value) or not value >= least or (np.isinf(value) and name not in endless):
+            if not _is_number(value) or not value >= least or (math.isinf(value) and name not in endless):
                 raise InputError(f"{type(owner).__name__}.{name}", shown(value), allowed)
 
 
 def _is_number(value: object) -> bool:
     """Return whether a value is one real number that fits into a float."""
     try:
-        return isinstance(value, int | float | np.integer | np.floating) and not np.isnan(float(value))
+        return isinstance(value, (int, float, np.integer, np.floating)) and not math.isnan(value)
     except OverflowError:
         return False
 
@@ -177,5 +178,5 @@ def check_time(owner: object) -> None:
         MessageError: it is not.
     """
     value = getattr(owner, "time_s", None)
-    if not _is_number(value) or not np.isfinite(float(value)):  # type: ignore[arg-type]
+    if not _is_number(value) or math.isinf(value):  # type: ignore[arg-type]
         raise MessageError(f"{type(owner).__name__}.time_s", shown(value), "a finite number")

@@ -213,9 +213,16 @@ class Detections:
         return among(self.ids, self.repeated_ids)
 
     @cached_property
+    def centred(self) -> Array:
+        """Centres (N, 2) relative to the image centre, in halves of the image's shorter side."""
+        points = centred(self.centers_px, self.image_size_px)
+        points.setflags(write=False)
+        return points
+
+    @cached_property
     def centre_distances(self) -> Array:
         """Distances (N,) from the image centre, in halves of the image's shorter side."""
-        return centre_distances(self.centers_px, self.image_size_px)
+        return _lengths(self.centred)
 
     def unambiguous(self) -> "Detections":
         """Return the detections whose ids occur once."""
@@ -230,6 +237,8 @@ class Detections:
 
     def select(self, ids: AbstractSet[int] | npt.ArrayLike) -> "Detections":
         """Return the detections with one of the `ids`, in the present order."""
+        if isinstance(ids, AbstractSet) and ids >= set(self.ids.tolist()):
+            return self
         keep = among(self.ids, ids)
         return self if keep.all() else self._kept(keep)
 
@@ -269,6 +278,11 @@ def centred(points_px: Array, image_size_px: Array) -> Array:
 
 def centre_distances(points_px: Array, image_size_px: Array) -> Array:
     """Return distances (N,) of image points (N, 2), px, from the image centre, read-only; see `centred`."""
-    distances = np.asarray(np.linalg.norm(centred(points_px, image_size_px), axis=1))
-    distances.setflags(write=False)
-    return distances
+    return _lengths(centred(points_px, image_size_px))
+
+
+def _lengths(points: Array) -> Array:
+    """Return the lengths (N,) of vectors (N, 2), read-only."""
+    lengths = np.asarray(np.linalg.norm(points, axis=1))
+    lengths.setflags(write=False)
+    return lengths

@@ -29,6 +29,8 @@ def among(ids: IntArray, members: AbstractSet[int] | npt.ArrayLike) -> BoolArray
     For the few robots of one image a Python set is faster than sorting arrays, as `numpy.isin` does.
     """
     wanted = members if isinstance(members, AbstractSet) else set(np.asarray(members).tolist())
+    if not wanted:
+        return np.zeros(ids.shape, dtype=bool)
     return np.array([robot in wanted for robot in ids.ravel().tolist()], dtype=bool).reshape(ids.shape)
 
 

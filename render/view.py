@@ -117,9 +117,8 @@ class ShapeImages:
 
     def before_horizon(self, points: Array) -> BoolArray:
         """Return the mask (N,) of shapes with all points (V, 2) on the camera's side of the horizon."""
-        weights = (
-            np.einsum("qnj,vj->qnv", self.matrices[:, :, 2, :2], points) + self.matrices[:, :, 2, 2, None]
-        )
+        last = self.matrices[:, :, 2]
+        weights = last[..., :2] @ points.T + last[..., 2:]
         return np.asarray((weights > 0).all(axis=(0, 2)))
 
     def at_origin(self) -> Array:

@@ -7,6 +7,7 @@ robots received goals. The time without a goal is a separate metric, `uncommande
 (`skyherd.analysis.summary`).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -53,10 +54,10 @@ def fit_shape(template_ground: np.ndarray, positions: np.ndarray) -> ShapeFit:
         DegenerateSetError: the points define no similarity.
     """
     similarity = fit_similarity(template_ground, positions)
-    squares = float(np.sum(np.abs(similarity(template_ground) - positions) ** 2))
-    spread = float(np.sum(np.abs(positions - positions.mean()) ** 2))
+    squares = float((np.abs(similarity(template_ground) - positions) ** 2).sum())
+    spread = float((np.abs(positions - similarity.target) ** 2).sum())
     return ShapeFit(
-        error=float(np.sqrt(squares / spread)),
+        error=math.sqrt(squares / spread),
         scale=similarity.scale,
         rotation_rad=similarity.rotation_rad,
         squares_m2=squares,

@@ -1,6 +1,7 @@
 """Other versions of skyherd, unpacked from git and importable beside this one."""
 
 import subprocess
+import sys
 import tarfile
 import tempfile
 import tomllib
@@ -14,14 +15,15 @@ from skyherd.errors import InputError
 
 @contextmanager
 def unpacked(reference: str, repository: Path) -> Iterator[Path]:
-    """Unpack a version of skyherd, and give a temporary folder from which it can be imported.
+    """Unpack a version of skyherd, build its libraries, and give a folder from which it can be imported.
 
     Args:
         reference: of git: a commit, branch or tag.
         repository: folder of a git repository of skyherd.
 
     Raises:
-        InputError: the folder is in no repository, or it has no such version, or that is not skyherd.
+        InputError: the folder is in no repository, or it has no such version, or that is not skyherd or
+            cannot be built.
     """
     allowed = "a commit, branch or tag of a git repository of skyherd"
     if reference.startswith("-"):
@@ -45,7 +47,23 @@ def unpacked(reference: str, repository: Path) -> Iterator[Path]:
             link_packages(tree, folder)
         except (OSError, KeyError, ValueError):
             raise InputError(f"--against {reference}", "has no package skyherd", allowed) from None
+        build_libraries(tree, reference)
         yield folder
+
+
+def build_libraries(tree: Path, reference: str) -> None:
+    """Build the compiled libraries of an unpacked version, if it has any.
+
+    Raises:
+        InputError: the build fails.
+    """
+    build = tree / "src" / "skyherd" / "native" / "build.py"
+    if not build.is_file():
+        return
+    built = subprocess.run([sys.executable, str(build)], capture_output=True, check=False)
+    if built.returncode:
+        said = built.stderr.decode(errors="replace").strip().splitlines() or ["the build failed"]
+        raise InputError(f"--against {reference}", said[-1], "a version that can be built here")
 
 
 def link_packages(tree: Path, folder: Path) -> None:

@@ -13,8 +13,8 @@ the upper end of the 95 % interval of their rate for each shape (Clopper and Pea
 The image of a shape may show a marker though its cells do not, as blur joins what is apart. The last lines
 say how many false positives show every bit of their id.
 
-With `--markers N`, markers of one size lie among the twenty shapes. What a detector reports at another place
-than half a side from that marker is false.
+With `--markers N`, markers of one size lie among the twenty shapes. A detection is then false if its centre
+is more than half a side from the marker with its id.
 """
 
 import argparse
@@ -51,8 +51,8 @@ LARGE_PX, SHAPES = (640, 480), 20
 CELL_POINTS = 8
 """Points along a cell where the bits of a false positive are read."""
 
-PLACES = 8
-"""Columns of an image, of which each has at most one marker."""
+MAX_MARKERS = 8
+"""Most markers in an image: one in each of as many columns."""
 
 OVERSAMPLING = 3
 LETTERS = "ABCDEFGHJKLMNPQRSTUVWXYZ0123456789#%&@"
@@ -238,7 +238,7 @@ def marker_pattern(dictionary: str, marker: int) -> Pattern:
 def large_image(
     seed: int, number: int, dictionary: str, markers: int = 0
 ) -> tuple[npt.NDArray[np.uint8], dict[int, Array], float]:
-    """Return an image of a number, with twenty shapes and markers, their centres, px, and side, px."""
+    """Return an image with twenty shapes and markers, the markers' centres by id, px, and their side, px."""
     rng = np.random.default_rng([seed, 1_000_000 + number])
     width, height = LARGE_PX
     fine = np.full((height * OVERSAMPLING, width * OVERSAMPLING), rng.uniform(0.3, 1.0), dtype=np.float32)
@@ -247,17 +247,17 @@ def large_image(
         placed(fine, drawn(rng, dictionary, str(kind)), rng.uniform(*SIDES_PX), center, rng)
     rng_markers = np.random.default_rng([seed, 2_000_000 + number])
     side_px, centers_px = float(rng_markers.uniform(*SIDES_PX)), dict[int, Array]()
-    columns = rng_markers.permutation(PLACES)[:markers]
+    columns = rng_markers.permutation(MAX_MARKERS)[:markers]
     ids = rng_markers.permutation(dictionary_size(dictionary))[:markers].tolist()
     for marker, column in zip(ids, columns, strict=True):
         row = rng_markers.uniform(50, height - 50)
-        centers_px[marker] = np.array([(column + 0.5) * width / PLACES, row])
+        centers_px[marker] = np.array([(column + 0.5) * width / MAX_MARKERS, row])
         placed(fine, marker_pattern(dictionary, marker), side_px, centers_px[marker], rng_markers)
     return developed(fine, rng), centers_px, side_px
 
 
 def false_positives(found: Detections, centers_px: dict[int, Array], side_px: float) -> IntArray:
-    """Return the rows of the detections of no marker at its place."""
+    """Return the rows (K,) of the detections that are more than half a side from the marker with their id."""
     away_px = [
         np.linalg.norm(center - centers_px[marker]) if marker in centers_px else np.inf
         for marker, center in zip(found.ids.tolist(), found.centers_px, strict=True)
@@ -265,10 +265,12 @@ def false_positives(found: Detections, centers_px: dict[int, Array], side_px: fl
     return np.flatnonzero(np.array(away_px) > side_px / 2)
 
 
-def with_all_bits(image: npt.NDArray[np.uint8], found: Detections, rows: IntArray, dictionary: str) -> int:
-    """Return of how many detections at these rows the image shows every bit and a black border.
+def count_with_all_bits(
+    image: npt.NDArray[np.uint8], found: Detections, rows: IntArray, dictionary: str
+) -> int:
+    """Return the number of detections, of those at rows (K,), whose marker is in the image bit by bit.
 
-    Then every cell that is white in the marker is brighter than every black one, in the middle of the cells.
+    Every white cell of the marker is then brighter than every black one, each by the mean over its middle.
     """
     n, count = cells_per_side(dictionary), 0
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32) * n * CELL_POINTS - 0.5
@@ -296,7 +298,8 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--dictionary", default="4X4_50")
     parser.add_argument("--detectors", default="photometric,opencv")
-    parser.add_argument("--markers", type=int, default=0, help=f"markers in each image, up to {PLACES}")
+    numbers = range(MAX_MARKERS + 1)
+    parser.add_argument("--markers", type=int, default=0, choices=numbers, help="markers in each image")
     parser.add_argument("--json", type=Path)
     add_thresholds(parser)
     given = parser.parse_args()
@@ -311,7 +314,7 @@ def main() -> None:
         for name, detector in detectors.items():
             seen = detector.detect(image)
             hits[name][kind] += len(seen)
-            shown[name] += with_all_bits(image, seen, np.arange(len(seen)), given.dictionary)
+            shown[name] += count_with_all_bits(image, seen, np.arange(len(seen)), given.dictionary)
     for number in range(given.images):
         image, centers_px, side_px = large_image(given.seed, number, given.dictionary, given.markers)
         shapes["images of 20"] += 1
@@ -319,7 +322,7 @@ def main() -> None:
             seen = detector.detect(image)
             false = false_positives(seen, centers_px, side_px)
             hits[name]["images of 20"] += len(false)
-            shown[name] += with_all_bits(image, seen, false, given.dictionary)
+            shown[name] += count_with_all_bits(image, seen, false, given.dictionary)
             found[name] += len(seen) - len(false)
     print(f"| {given.dictionary} | shapes | " + " | ".join(names) + " |")
     print("|---" * (2 + len(names)) + "|")

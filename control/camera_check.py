@@ -302,8 +302,9 @@ class CameraCheck:
         if np.count_nonzero(both) < MIN_JUMPERS:
             return False
         reach = JUMP_SIDES + self._rule.max_speed_mps / self._rule.side_m * (view.time_s - last.time_s)
-        # The similarity fits three quarters of the robots no worse than the identity does. A third of them
-        # would have to be beyond reach, with more squares in sum than all of them at half of it.
+        # If no robot moves by more than half of the reach, no fit shows a jump. The similarity of three
+        # quarters of n robots leaves no more squares than the identity, which leaves `n reach² / 4` at most.
+        # If half of them were beyond the reach, `n / 4` of these would be in the fit, and leave more.
         if (view.moved_sides(last) <= reach / 2).all():
             return False
         jumps = view.relative_sides(last, both)[both] > reach

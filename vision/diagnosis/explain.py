@@ -244,7 +244,8 @@ def _likely(image: Image, dictionary: str, searched: SearchPass, suspects: _Susp
             continue
         words = describe(reason, value, reading, dictionary)
         one = Rejection(reason, value, reading.corners_px, reading, words, float(log_odds), against)
-        evidence = f"; log odds of a marker {log_odds:.1f} against {one.rival}, at least {least:.1f}"
+        evidence = f"; log odds of a marker {log_odds:.1f} against {one.rival}"
+        evidence += f", at least {least:.1f} without further evidence"
         likely.append(replace(one, words=words + evidence) if one.rival else one)
     return likely
 

@@ -52,8 +52,8 @@ explain them as well, and the fit is more precise. Measured under odd conditions
 0 ten of 1,848 markers are not found; with 5 fits under edges of shadows are 0.09 instead of 0.05 px off."""
 
 MAX_SIDE_RATIO = 1.5
-"""Largest ratio of the sides of two markers of an image of which one makes the other more likely. Chosen: the
-markers of a team have one size, and a tilted camera sees neighbours about as large."""
+"""Largest ratio of the sides of two markers of like size. Chosen: the markers of a team have one size, and a
+tilted camera sees neighbours about as large as each other."""
 
 MAX_UNEXPLAINED_SHARE = 0.5
 """Largest share of bits that a robust fit may leave unexplained. Measured under glare over markers of 48 px:
@@ -116,7 +116,7 @@ def decide(
         dictionary: of the markers.
         fits: of N candidates.
         good: (N,) which are accepted already.
-        weighed: evidence for others, by their row among the fits.
+        weighed: evidence for M of the others, with their rows among the fits.
         plane: that the markers lie on.
         known_plane: that of other markers of the image.
         known_sides_px: (M,) sides of other markers of the image, px.
@@ -153,7 +153,10 @@ def decide(
 
 
 def _have_like(dictionary: str, weighed: Weighed, others_px: Array) -> BoolArray:
-    """Return which candidates (N,) have a marker of like size: clear, or with a side among (M,), px."""
+    """Return the mask (N,) of candidates for which the image has another marker of like size.
+
+    Such are the accepted markers, with sides `others_px` (M,), and the clear ones of the candidates.
+    """
     sides_px = sides_of_corners(weighed.edges.corners_px)
     is_clear = weighed.odds.log_odds >= clear_log_odds(dictionary)
     ratios = sides_px[:, None] / np.concatenate([others_px, sides_px[is_clear]])

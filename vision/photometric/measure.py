@@ -8,8 +8,8 @@
 5. *Decide* about the rest by their log odds: a marker beyond doubt is reported though no fit explains its
    pixels. It is measured by a robust fit, or by its edges where that disagrees with them. A robust fit is
    evidence too, and so is another marker of like size in the image: with either lower log odds suffice.
-   `FitResults.qualities` says which measured it. This step also
-   accepts markers whose fit was refused for its blur.
+   `FitResults.qualities` says how a marker was measured. This step also accepts markers whose fit was refused
+   for its blur.
 
 Markers without a white card are fitted to the ground around them, in step 2 and in step 5 (`cards`).
 

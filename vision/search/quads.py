@@ -79,7 +79,7 @@ through points of other outlines differ more."""
 
 ENLARGEMENT = 2
 """Enlargement factor of the search for small squares. Chosen: at twice the size, a cell of 1.5 px is as wide
-as the filters above; a factor of three takes more than twice the time."""
+as the filter of `SMOOTHING_PX`; a factor of three takes more than twice the time."""
 
 
 def find_quads(

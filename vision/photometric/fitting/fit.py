@@ -107,6 +107,7 @@ def fit_markers(
 ) -> tuple[FitResults, Plane]:
     """Fit markers `ids` (N,) that lie near `homographies`: a pixel or two, or a tenth of a side, away.
 
+    This is one fit at full size under given blurs: the reference of `refine.fit_any_blur`, which repeats it.
     Nothing is refused here. A fit that went wrong shows it by its residuals, which
     `skyherd.vision.photometric.verify` judges.
 

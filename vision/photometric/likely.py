@@ -131,7 +131,7 @@ def decide(
     likely = np.flatnonzero(~good[weighed.rows] & (weighed.odds.log_odds >= least))
     if not likely.size:
         return fits, good, plane
-    weighed = weighed.take(likely)
+    weighed, has_like = weighed.take(likely), has_like[likely]
     rows, odds = weighed.rows, weighed.odds
     edges = weighed.edges.turned(odds.turns)
     read = replace(fits.take(rows), ids=odds.ids, blacks=odds.blacks, contrasts=odds.contrasts)
@@ -145,7 +145,7 @@ def decide(
     read, edges = read.take(others), edges.take(others)
     measured = _measured(image, dictionary, read, known_plane, noises.verified, edges)
     is_robust = measured.qualities == Quality.ROBUST
-    least = min_log_odds(dictionary, robust=is_robust, has_like=has_like[likely[others]])
+    least = min_log_odds(dictionary, robust=is_robust, has_like=has_like[others])
     accepted = odds.log_odds[others] >= least
     if code_distance(dictionary) < STRONG_DISTANCE:
         accepted &= np.abs(measured.homographies.keystones()) <= MAX_KEYSTONE

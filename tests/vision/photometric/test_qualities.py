@@ -110,6 +110,43 @@ def test_markers_under_bands_of_light_are_found_by_their_edges(place_markers, dr
     assert found_under(banded, place_markers, draw_markers).keys() == fewer.keys()
 
 
+DOUBTFUL = [(1, 3), (1, 11), (2, 11), (3, 7), (4, 7), (7, 11), (8, 11), (8, 20)]
+"""Seeds and ids of markers whose log odds under bands of light are 7.1 to 7.9, too few for them alone."""
+
+
+def one_marker(seed, marker, place_markers, draw_markers):
+    """Return the image of a marker of 40 px, the same image under bands of light, and the marker's place."""
+    rng, center = np.random.default_rng([seed, marker]), np.array([95 + 95j])
+    image = draw_markers(place_markers(center, rng.uniform(-3, 3, 1), 40.0), [marker], (190, 190), rng)
+    return image, banded(image, center, rng), center
+
+
+@pytest.mark.parametrize(("side_px", "found"), [(24.0, 0), (28.0, 8), (56.0, 8), (66.0, 0)])
+def test_another_marker_counts_if_it_is_of_like_size(side_px, found, place_markers, draw_markers):
+    """Markers of 40 px are found beside a clear one of up to 1.5 times their size, or less."""
+    detector, count = PhotometricDetector(DICTIONARY, following=False), 0
+    for seed, marker in DOUBTFUL:
+        _, doubtful, center = one_marker(seed, marker, place_markers, draw_markers)
+        assert marker not in detector.detect(doubtful).ids
+        rng = np.random.default_rng(seed)
+        other = draw_markers(place_markers(center, rng.uniform(-3, 3, 1), side_px), [40], (190, 190), rng)
+        seen = detector.detect(np.hstack([doubtful, other.astype(np.uint8)]))
+        assert 40 in seen.ids
+        count += marker in seen.ids
+    assert count == found
+
+
+@pytest.mark.parametrize("moved_px", [0, 16])
+def test_a_followed_marker_is_doubted_less_than_a_new_one(moved_px, place_markers, draw_markers):
+    """It was seen in the image before at the same size. One that moved is searched near its last place."""
+    for seed, marker in DOUBTFUL:
+        clear, doubtful, _ = one_marker(seed, marker, place_markers, draw_markers)
+        detector = PhotometricDetector(DICTIONARY)
+        assert detector.detect(clear.astype(np.uint8), time_s=0.0).ids.tolist() == [marker]
+        moved = np.roll(doubtful, moved_px, axis=1)
+        assert detector.detect(moved, time_s=0.1).ids.tolist() == [marker]
+
+
 @pytest.mark.parametrize("dictionary", ["4X4_50", "4X4_1000", "5X5_100", "APRILTAG_36h11"])
 def test_robust_fits_need_no_more_odds_than_others(dictionary):
     """Also of the weakest dictionaries, whose markers cannot have the odds of the constant."""

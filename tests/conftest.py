@@ -14,6 +14,7 @@ import os
 import re
 import secrets
 import shutil
+import signal
 import tomllib
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
@@ -45,6 +46,9 @@ BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 GARBAGE_LOOKED_FOR = 20_000
 """Threshold of garbage collection, objects. Chosen: with Python's 700 it takes 3 % of the time, since steps
 and figures are many objects; 20 000 of them take some megabytes."""
+
+# What a shell starts in the background ignores SIGINT, and so would every process that the tests start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 hypothesis.settings.register_profile("same", derandomize=True, deadline=None, database=None)
 hypothesis.settings.register_profile("random", deadline=None, database=None, print_blob=True)

@@ -120,9 +120,24 @@ INLINE Ground ground_at(Floats x, Floats y, float half_card, Floats x_rate, Floa
  * The level is T, and T + ρ G around a marker without a card, with G the share of the ground and ρ its level. */
 typedef struct { Floats level, slope_x, slope_y, log_blur; Ground ground; } Shown;
 
+typedef uint8_t Bytes __attribute__((vector_size(LANES)));
+
 /* Part of a block of pixels: places, lines and columns of the image, grey levels, which of them are the marker's own, and
  * where the first column of the model is written. */
 typedef struct { Floats x, y, grey; Ints v, u, within; int64_t columns; } Part;
+
+/* Return the grey levels of LANES pixels, which mostly lie side by side. */
+INLINE Floats grey_levels(const Scene *scene, const int32_t *pixels) {
+    const int32_t *u = pixels + BLOCK_PX, last = LANES - 1;
+    Floats grey;
+    if (pixels[0] == pixels[last] && u[last] - u[0] == last) {
+        Bytes line;
+        memcpy(&line, scene->image + pixels[0] * scene->width + u[0], sizeof line);
+        return __builtin_convertvector(line, Floats);
+    }
+    for (int i = 0; i < LANES; i++) grey[i] = scene->image[pixels[i] * scene->width + u[i]];
+    return grey;
+}
 
 INLINE Part part_at(const Scene *scene, const MarkerBlocks *given, int64_t k, int64_t block, int32_t first) {
     const int64_t rest = given->counts[k] - (block - given->bounds[k]) * BLOCK_PX - first;
@@ -131,10 +146,8 @@ INLINE Part part_at(const Scene *scene, const MarkerBlocks *given, int64_t k, in
     Part part = {.x = load(places), .y = load(places + BLOCK_PX), .columns = block * (COLUMNS * BLOCK_PX) + first};
     memcpy(&part.v, pixels, sizeof part.v);
     memcpy(&part.u, pixels + BLOCK_PX, sizeof part.u);
-    for (int i = 0; i < LANES; i++) {
-        part.grey[i] = scene->image[pixels[i] * scene->width + pixels[i + BLOCK_PX]];
-        part.within[i] = i < rest ? -1 : 0;
-    }
+    part.grey = grey_levels(scene, pixels);
+    for (int i = 0; i < LANES; i++) part.within[i] = i < rest ? -1 : 0;
     return part;
 }
 

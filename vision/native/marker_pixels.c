@@ -64,15 +64,19 @@ static void blur_table(const FitRequest *given, const Homography *at, double sig
     }
 }
 
+/* A block of a column then lies in one line of the cache, and is read at once. */
+enum { CACHE_LINE_BYTES = 64 };
+
 /* Give a marker's arrays room for so many blocks of pixels. */
 static int32_t make_room(Pixels *own, int64_t room) {
     if (room <= own->room) return 0;
-    free(own->columns);
+    free(own->memory);
     own->room = 0;
     const size_t pixels = (size_t)room * BLOCK_PX;
-    own->columns = malloc(pixels * ((COLUMNS + 2 + 3) * sizeof *own->columns + 2 * sizeof *own->pixels));
-    if (!own->columns) return FIT_NO_MEMORY;
+    own->memory = malloc(pixels * ((COLUMNS + 2 + 3) * sizeof *own->columns + 2 * sizeof *own->pixels) + CACHE_LINE_BYTES);
+    if (!own->memory) return FIT_NO_MEMORY;
     own->room = room;
+    own->columns = (float *)(void *)(own->memory + (CACHE_LINE_BYTES - (uintptr_t)own->memory % CACHE_LINE_BYTES));
     own->places = own->columns + pixels * COLUMNS;
     own->bends = own->places + pixels * 2;
     own->pixels = (int32_t *)(own->bends + pixels * 3);
@@ -83,7 +87,7 @@ MarkerBlocks blocks_of(const Pixels *own) {
     return (MarkerBlocks){own->bounds, &own->count, own->places, own->pixels, own->columns, 1, own->bounds[1]};
 }
 
-void release_pixels(Pixels *own) { free(own->columns); }
+void release_pixels(Pixels *own) { free(own->memory); }
 
 /* Ask for the image's pixels of a marker. They lie on many lines, which processors do not foresee. */
 static void prefetch(const uint8_t *image, int64_t width, const Pixels *own) {

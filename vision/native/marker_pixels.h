@@ -6,6 +6,7 @@
 
 /* Pixels of a marker as they were last read; arrays have room for more. */
 typedef struct {
+    uint8_t *memory; /* of all arrays */
     float *places, *columns, *bends;
     int32_t *pixels;
     int64_t bounds[2], count, room; /* room in blocks */

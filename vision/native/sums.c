@@ -26,20 +26,22 @@ INLINE Floats residuals_of(const float *columns, const float *solution) {
     return load(columns + PIXEL * BLOCK_PX) - model_at(columns, solution);
 }
 
-/* Columns whose products are summed at a time: so many sums stay in registers. */
-enum { PARTS = BLOCK_PX / LANES, TALL = 2, WIDE = 4 / PARTS };
+/* Columns whose products with as many others are summed at a time: so many sums stay in registers. */
+enum { PARTS = BLOCK_PX / LANES, TILE = 4 / PARTS };
 
-/* Add to `total` the products of TALL columns from `first` on with WIDE from `second` on, over some blocks. */
-INLINE void add_products(int first, int second, const float *columns, int64_t blocks, Doubles total[COLUMNS][COLUMNS]) {
-    Floats sums[TALL][WIDE][PARTS] = {{{{0}}}};
+/* Add to `total` the products of TILE columns from `first` on with those from `second` on, over some blocks; of pairs of the
+ * same columns only one. */
+INLINE void add_products(int first, int second, int is_same, const float *columns, int64_t blocks,
+                         Doubles total[COLUMNS][COLUMNS]) {
+    Floats sums[TILE][TILE][PARTS] = {{{{0}}}};
     for (int64_t block = 0; block < blocks; block++, columns += BLOCK_FLOATS)
-        for (int i = 0; i < TALL; i++)
-            for (int j = 0; j < WIDE; j++)
+        for (int i = 0; i < TILE; i++)
+            for (int j = is_same ? i : 0; j < TILE; j++)
                 for (int part = 0; part < PARTS; part++)
                     sums[i][j][part] += load(columns + (first + i) * BLOCK_PX + part * LANES) *
                                         load(columns + (second + j) * BLOCK_PX + part * LANES);
-    for (int i = 0; i < TALL; i++)
-        for (int j = 0; j < WIDE; j++)
+    for (int i = 0; i < TILE; i++)
+        for (int j = is_same ? i : 0; j < TILE; j++)
             for (int part = 0; part < PARTS; part++) add_in_double(sums[i][j][part], &total[first + i][second + j]);
 }
 
@@ -51,9 +53,11 @@ int32_t gram_matrices(const MarkerBlocks *given, float *grams) {
         Doubles total[COLUMNS][COLUMNS] = {{{0}}};
         for (int64_t begin = given->bounds[k]; begin < given->bounds[k + 1]; begin += BLOCKS_AT_ONCE) {
             const int64_t rest = given->bounds[k + 1] - begin, blocks = rest < BLOCKS_AT_ONCE ? rest : BLOCKS_AT_ONCE;
-            for (int i = 0; i < COLUMNS; i += TALL)
-                for (int j = i / WIDE * WIDE; j < COLUMNS; j += WIDE)
-                    add_products(i, j, given->columns + begin * BLOCK_FLOATS, blocks, total);
+            const float *columns = given->columns + begin * BLOCK_FLOATS;
+            for (int i = 0; i < COLUMNS; i += TILE) {
+                add_products(i, i, 1, columns, blocks, total);
+                for (int j = i + TILE; j < COLUMNS; j += TILE) add_products(i, j, 0, columns, blocks, total);
+            }
         }
         for (int i = 0; i < COLUMNS; i++)
             for (int j = i; j < COLUMNS; j++) grams[i * COLUMNS + j] = grams[j * COLUMNS + i] = (float)sum_of(total[i][j]);

@@ -59,7 +59,7 @@ class DesignMatrices:
             appearances: of these markers.
         """
         self.rows = rows
-        markers = _markers(homographies, appearances)
+        markers = marker_records(homographies, appearances)
         self._data = stages().list_pixels(markers, image.shape)
         self.counts, self.bounds = self._data.counts, np.concatenate([[0], np.cumsum(self._data.counts)])
         self.places, self.pixels = map(self._data.by_pixels, (self._data.places, self._data.pixels))
@@ -163,7 +163,7 @@ class DesignMatrices:
         return stages().cell_sums(self._data, model, n_cells)
 
 
-def _markers(homographies: LocalHomographies, appearances: MarkerAppearances) -> npt.NDArray[np.void]:
+def marker_records(homographies: LocalHomographies, appearances: MarkerAppearances) -> npt.NDArray[np.void]:
     """Return the records (N,), `MARKER`, from which markers are drawn.
 
     In the coordinates of a marker that is anisotropic by e = k / m, blur that is round in the image has

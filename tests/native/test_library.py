@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skyherd.errors import NativeLibraryError
+from skyherd.errors import InputError, NativeLibraryError
 from skyherd.native import build
 from skyherd.native.loading import load
 from skyherd.render.native import library as render
@@ -97,15 +97,22 @@ def fuzz_vision(path, seed=0, images=150):
 
 def fuzz_codes(library, rng, requests=100):
     """Compare random samples, a tenth of them absurd, with random codes; the padding is never the result."""
-    from skyherd.vision.native.search_library import CodeColumns
+    from skyherd.vision.native.search_library import CodeColumns, CodeTable, CodeTableStructure
+    from skyherd.vision.search.decode import CONSTANTS
 
     for _ in range(requests):
         rows, cells, count = int(rng.integers(0, 10)), int(rng.integers(1, 70)), int(rng.integers(1, 100))
         samples = rng.normal(0, 1, (rows, cells)).astype(np.float32)
         samples[rng.random(samples.shape) < 0.1] = rng.choice([0.0, 1e38, np.inf, np.nan])
         codes = CodeColumns.of(-np.abs(rng.normal(0, 1, (count, cells)).astype(np.float32)))
-        best, _ = library.best_codes(np.abs(samples), codes)
+        tables = [CodeTable(codes, *rng.uniform(0, 1, (2, count))) for _ in range(3)]
+        of_rows = rng.integers(0, 3, rows).astype(np.int32)
+        best = library.decoded(samples, of_rows, tables, rng.uniform(-1, 1, 3), CONSTANTS)["code"]
         assert ((best >= 0) & (best < count)).all()
+        if rows:
+            of_rows[-1] = rng.choice([-1, 3])
+            with pytest.raises(InputError):
+                library.decoded(samples, of_rows, tables, [0.0, 0.0, 0.0], CONSTANTS)
         assert library.code_products(samples, codes).shape == (rows, count)
     codes = CodeColumns.of(np.zeros((40, 4), np.float32)).columns.ctypes.data
     for size in [
@@ -117,7 +124,8 @@ def fuzz_codes(library, rng, requests=100):
         (1, 2000, 40, 64),
     ]:
         rows, cells, count, stride = size
-        assert library.functions.best_codes(None, rows, cells, codes, count, stride, None, None) < 0
+        table = CodeTableStructure(codes, None, None, count, stride, 0.0)
+        assert library.functions.decode_cells(None, rows, cells, None, table, 1, CONSTANTS, None) < 0
         assert library.functions.code_products(None, rows, cells, codes, count, stride, None) < 0
 
 

@@ -1,8 +1,8 @@
 /* Which code of a dictionary the cells of quadrilaterals resemble most (vision/search/decode.py).
  *
- * The correlation of standardised rows is their inner product divided by their length. All codes are compared: a lane of a
- * vector sums up the product with one of them, so that every build gives equal bytes. Six rows of samples share a load of
- * the codes, which are stored column by column for this.
+ * The likeness of a row of cells and a code is their correlation: the inner product of both, standardised, divided by their
+ * length. All codes are compared: a lane of a vector sums up the product with one of them, so that every build gives equal
+ * bytes. Six rows share a load of the codes, which are stored column by column for this.
  */
 #include "floats.h"
 #include "search.h"
@@ -62,34 +62,103 @@ static void take_rows(const float *samples, int64_t first, int64_t rows, int32_t
         together[row] = samples + (first + row < rows ? first + row : rows - 1) * cells;
 }
 
-/* Find the code of the greatest inner product with each row of samples (rows, cells).
+/* Find the codes of the greatest products with six rows. */
+static void best_of(const float *const rows[ROWS], const Codes *known, Best best[ROWS]) {
+    for (int row = 0; row < ROWS; row++) best[row] = (Best){all(-INFINITY), (Ints){0}};
+    for (int64_t code = 0; code < known->count; code += BLOCK * LANES) {
+        Floats sums[ROWS][BLOCK];
+        multiply(rows, known->columns + code, known, sums);
+        for (int row = 0; row < ROWS; row++)
+            for (int block = 0; block < BLOCK; block++)
+                keep_larger(best + row, sums[row][block], (int32_t)code + block * LANES, known->count);
+    }
+}
+
+/* Mean and standard deviation of a row of cells, grey levels. */
+typedef struct { double mean, deviation; } Levels;
+
+/* Standardise a row of cells to mean 0 and standard deviation 1. */
+static Levels standardise(const float *restrict cells, int32_t count, double min_deviation, float *restrict standard) {
+    double sum = 0, squares = 0;
+    for (int32_t i = 0; i < count; i++) sum += (double)cells[i];
+    const double mean = sum / count;
+    for (int32_t i = 0; i < count; i++) squares += ((double)cells[i] - mean) * ((double)cells[i] - mean);
+    const double deviation = sqrt(squares / count), scale = 1 / fmax(deviation, min_deviation);
+    for (int32_t i = 0; i < count; i++) standard[i] = (float)(((double)cells[i] - mean) * scale);
+    return (Levels){mean, deviation};
+}
+
+/* Cells to be decoded, and the results. */
+typedef struct { const float *cells; int32_t count; const DecodeConstants *constants; Decoded *decoded; } Rows;
+
+/* Compare up to six rows of cells, `due`, with the codes of a table. A row resembles one of them if its likeness is at least
+ * `least`, and above that of other tables so far. */
+static void compare_rows(const Rows *rows, const int64_t *due, int count, const CodeTable *table, double least) {
+    const Codes known = {table->columns, table->count, table->stride, rows->count};
+    float standard[ROWS][MAX_CELLS];
+    const float *together[ROWS];
+    Levels levels[ROWS];
+    Best best[ROWS];
+    for (int row = 0; row < ROWS; row++) {
+        together[row] = standard[row < count ? row : count - 1];
+        if (row >= count) continue;
+        levels[row] = standardise(rows->cells + due[row] * rows->count, rows->count, rows->constants->min_deviation,
+                                  standard[row]);
+    }
+    best_of(together, &known, best);
+    for (int row = 0; row < count; row++) {
+        Decoded *decoded = rows->decoded + due[row];
+        int32_t code;
+        float product;
+        write_best(best + row, &code, &product);
+        const double likeness = (double)product / rows->count;
+        decoded->deviation = levels[row].deviation;
+        if (!(likeness > decoded->likeness && likeness >= least)) continue;
+        const double contrast = likeness * levels[row].deviation / table->deviations[code];
+        const double white = levels[row].mean + contrast * table->means[code];
+        decoded->likeness = likeness;
+        decoded->print_contrast = contrast / fmax(white, rows->constants->min_white);
+        decoded->code = code;
+    }
+}
+
+/* Find the code that each row of cells (rows, cells) resembles most.
  *
- * columns (cells, stride) holds `count` codes; the stride is a multiple of CODE_STEP. A row that is not finite may get any
- * code. Returns 0 or an error. */
-int32_t best_codes(const float *samples, int64_t rows, int32_t cells, const float *columns, int64_t count, int64_t stride,
-                   int32_t *codes, float *products) {
-    const Codes known = {columns, count, stride, cells};
-    const int32_t error = check_codes(rows, &known);
-    if (error) return error;
-    for (int64_t first = 0; first < rows; first += ROWS) {
-        const float *together[ROWS];
-        Best best[ROWS];
-        take_rows(samples, first, rows, cells, together);
-        for (int row = 0; row < ROWS; row++) best[row] = (Best){all(-INFINITY), (Ints){0}};
-        for (int64_t code = 0; code < count; code += BLOCK * LANES) {
-            Floats sums[ROWS][BLOCK];
-            multiply(together, columns + code, &known, sums);
-            for (int row = 0; row < ROWS; row++)
-                for (int block = 0; block < BLOCK; block++)
-                    keep_larger(best + row, sums[row][block], (int32_t)code + block * LANES, count);
+ * table_of_row (rows,) is the number of the table of codes that a row is compared with. It is also compared with the last one,
+ * of strongly blurred codes, if its likeness is at least the `least` of its own table. decoded (rows,) is the result. Returns 0
+ * or an error. */
+int32_t decode_cells(const float *cells, int64_t rows, int32_t cells_count, const int32_t *table_of_row,
+                     const CodeTable *tables, int32_t table_count, const DecodeConstants *constants, Decoded *decoded) {
+    if (rows < 0 || table_count <= 0) return INVALID_SIZE;
+    for (int32_t t = 0; t < table_count; t++) {
+        const Codes known = {tables[t].columns, tables[t].count, tables[t].stride, cells_count};
+        const int32_t error = check_codes(rows, &known);
+        if (error) return error;
+    }
+    const Rows all_rows = {cells, cells_count, constants, decoded};
+    for (int64_t row = 0; row < rows; row++) {
+        if (table_of_row[row] < 0 || table_of_row[row] >= table_count) return INVALID_PARAMETERS;
+        decoded[row] = (Decoded){.likeness = -INFINITY};
+    }
+    for (int32_t pass = 0; pass <= table_count; pass++) {
+        const int is_last = pass == table_count;
+        const CodeTable *table = tables + (is_last ? table_count - 1 : pass);
+        int64_t due[ROWS];
+        int count = 0;
+        for (int64_t row = 0; row < rows; row++) {
+            const int32_t own = table_of_row[row];
+            if (!(is_last ? decoded[row].likeness >= tables[own].least : own == pass)) continue;
+            due[count++] = row;
+            if (count == ROWS) compare_rows(&all_rows, due, count, table, is_last ? table->least : -INFINITY), count = 0;
         }
-        for (int row = 0; row < ROWS && first + row < rows; row++)
-            write_best(best + row, codes + first + row, products + first + row);
+        if (count) compare_rows(&all_rows, due, count, table, is_last ? table->least : -INFINITY);
     }
     return 0;
 }
 
-/* Write the inner products (rows, stride) of rows of samples with all codes, as `best_codes` takes them. */
+/* Write the inner products (rows, stride) of rows of samples (rows, cells) with all codes.
+ *
+ * columns (cells, stride) holds `count` codes; the stride is a multiple of CODE_STEP. Returns 0 or an error. */
 int32_t code_products(const float *samples, int64_t rows, int32_t cells, const float *columns, int64_t count, int64_t stride,
                       float *products) {
     const Codes known = {columns, count, stride, cells};

@@ -6,8 +6,8 @@
  *   3. quads.c    four corner points on a boundary, a line through each side, their intersections
  * search_boundaries() uses steps 1 and 2 alone. block_means() in resize.c shrinks an image,
  * stretch() in stretch.c prepares it for the search of faint markers,
- * sample_squares() in sampling.c reads what is within quadrilaterals, best_codes() in decode.c finds the markers that they
- * resemble, and fit_edges() in edges.c refines their corners.
+ * sample_squares() in sampling.c reads what is within quadrilaterals, decode_cells() in decode.c finds the markers that
+ * they resemble, and fit_edges() in edges.c refines their corners.
  *
  * Coordinates: x is the column, y the row (downwards). Planes are row-major. No function allocates memory: the caller
  * passes one workspace, whose size search_workspace_bytes() returns. The time is proportional to the number of pixels.
@@ -128,11 +128,21 @@ int32_t search_quads(const uint8_t *image, const uint8_t *places, int32_t width,
 int32_t search_boundaries(const uint8_t *image, int32_t width, int32_t height, int32_t darker, int32_t min_side_px,
                           uint8_t *workspace, size_t workspace_bytes, Point *points, int64_t max_points,
                           int32_t *counts, int32_t max_regions);
+/* Codes under one blur, standardised: columns (cells, stride), and mean and standard deviation of the darkness of each; `least`
+ * likenesses are explained at decode_cells(). */
+typedef struct { const float *columns; const double *means, *deviations; int64_t count, stride; double least; } CodeTable;
+
+/* Limits of the decoding; decode.py says why. */
+typedef struct { double min_deviation, min_white; } DecodeConstants;
+
+/* The code that a row of cells resembles most: likeness, print contrast, and standard deviation of the cells. */
+typedef struct { double likeness, print_contrast, deviation; int64_t code; } Decoded;
+
 int32_t block_means(const uint8_t *image, int32_t width, int32_t height, int32_t side, uint16_t *sums, uint8_t *means);
 int32_t sample_squares(const uint8_t *image, int32_t width, int32_t height, const double *corners, int64_t count,
                        const double *at, int32_t side, int32_t fine, float *levels);
-int32_t best_codes(const float *samples, int64_t rows, int32_t cells, const float *columns, int64_t count, int64_t stride,
-                   int32_t *codes, float *products);
+int32_t decode_cells(const float *cells, int64_t rows, int32_t cells_count, const int32_t *table_of_row,
+                     const CodeTable *tables, int32_t table_count, const DecodeConstants *constants, Decoded *decoded);
 int32_t code_products(const float *samples, int64_t rows, int32_t cells, const float *columns, int64_t count, int64_t stride,
                       float *products);
 int32_t fit_edges(const uint8_t *image, int32_t width, int32_t height, int64_t count, int32_t cells,

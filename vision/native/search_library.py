@@ -2,6 +2,7 @@
 
 import ctypes
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,12 +41,59 @@ class CodeColumns:
         columns[:, : len(codes)] = codes.T
         return cls(columns, len(codes))
 
-    def arguments(self, samples: Floats) -> tuple[int, ...]:
-        """Return samples (N, K) and these codes as the library takes them."""
-        cells, stride = self.columns.shape
-        rows = address("samples", samples, np.float32, (len(samples), cells))
-        columns = address("columns", self.columns, np.float32, (cells, stride))
-        return rows, len(samples), cells, columns, self.count, stride
+    def address(self) -> int:
+        """Return the address of the columns."""
+        return address("columns", self.columns, np.float32, self.columns.shape)
+
+
+@dataclass(frozen=True)
+class CodeTable:
+    """M codes under one blur.
+
+    Attributes:
+        columns: standardised brightness of their cells.
+        means: (M,) mean darkness, 0 to 1.
+        deviations: (M,) standard deviation of the darkness.
+    """
+
+    columns: CodeColumns
+    means: Array
+    deviations: Array
+
+    def structure(self, least: float) -> "CodeTableStructure":
+        """Return the table with its least likeness as the library takes it; the arrays keep it valid."""
+        count = self.columns.count
+        return CodeTableStructure(
+            self.columns.address(),
+            address("means", self.means, np.float64, (count,)),
+            address("deviations", self.deviations, np.float64, (count,)),
+            count,
+            self.columns.columns.shape[1],
+            least,
+        )
+
+
+class CodeTableStructure(ctypes.Structure):
+    """Codes under one blur; `CodeTable` in `search.h` has the same fields."""
+
+    _fields_ = (
+        ("columns", ctypes.c_void_p),
+        ("means", ctypes.c_void_p),
+        ("deviations", ctypes.c_void_p),
+        ("count", ctypes.c_int64),
+        ("stride", ctypes.c_int64),
+        ("least", ctypes.c_double),
+    )
+
+
+class DecodeConstants(ctypes.Structure):
+    """Limits of the decoding; `search.h` declares the same fields."""
+
+    _fields_ = (("min_deviation", ctypes.c_double), ("min_white", ctypes.c_double))
+
+
+DECODED = np.dtype([("likeness", float), ("print_contrast", float), ("deviation", float), ("code", np.int64)])
+"""Code that a row of cells resembles most, as `Decoded` in `search.h`."""
 
 
 class _Workspaces(threading.local):
@@ -177,28 +225,54 @@ class SearchFunctions:
         check(self.functions.sample_squares(*given, levels.ctypes.data), ERRORS)
         return levels
 
-    def best_codes(self, samples: Floats, codes: "CodeColumns") -> tuple[IntArray, Floats]:
-        """Return the code (N,) with the greatest inner product with each row of samples, and products (N,).
+    def decoded(
+        self,
+        cells: Floats,
+        table_of_row: npt.NDArray[np.int32],
+        tables: Sequence[CodeTable],
+        least: Sequence[float],
+        constants: DecodeConstants,
+    ) -> npt.NDArray[np.void]:
+        """Return the code that each row of cells resembles most, (N,) of `DECODED`.
 
-        Of equal products the first code counts.
+        Of equally alike codes the first counts.
 
         Args:
-            samples: (N, K).
-            codes: of K cells each.
+            cells: (N, K) grey levels.
+            table_of_row: (N,) number of the table that a row is compared with.
+            tables: T of them, of codes of K cells. The last one has strongly blurred codes.
+            least: (T,) likeness from which on a row of a table is compared with the last one too. That of
+                the last table is the likeness from which on this counts.
+            constants: limits.
 
         Raises:
             InputError: an argument has another type, shape or memory layout, or is empty.
         """
-        rows = len(samples)
-        found, products = np.empty(rows, dtype=np.int32), np.empty(rows, dtype=np.float32)
-        given = codes.arguments(samples)
-        check(self.functions.best_codes(*given, found.ctypes.data, products.ctypes.data), ERRORS)
-        return found.astype(np.int64), products
+        (rows, count), last = cells.shape, tables[-1].columns.columns.shape[0]
+        structures = [table.structure(one) for table, one in zip(tables, least, strict=True)]
+        found = np.empty(rows, dtype=DECODED)
+        given = (
+            address("cells", cells, np.float32, (rows, last)),
+            rows,
+            count,
+            address("table_of_row", table_of_row, np.int32, (rows,)),
+            (CodeTableStructure * len(tables))(*structures),
+            len(tables),
+        )
+        check(self.functions.decode_cells(*given, ctypes.byref(constants), found.ctypes.data), ERRORS)
+        return found
 
-    def code_products(self, samples: Floats, codes: "CodeColumns") -> Floats:
-        """Return the inner products (N, M) of rows of samples with all codes; see `best_codes`."""
-        products = np.empty((len(samples), codes.columns.shape[1]), dtype=np.float32)
-        check(self.functions.code_products(*codes.arguments(samples), products.ctypes.data), ERRORS)
+    def code_products(self, samples: Floats, codes: CodeColumns) -> Floats:
+        """Return the inner products (N, M) of rows of samples (N, K) with all codes.
+
+        Raises:
+            InputError: an argument has another type, shape or memory layout, or is empty.
+        """
+        cells, stride = codes.columns.shape
+        products = np.empty((len(samples), stride), dtype=np.float32)
+        rows = address("samples", samples, np.float32, (len(samples), cells))
+        given = rows, len(samples), cells, codes.address(), codes.count, stride
+        check(self.functions.code_products(*given, products.ctypes.data), ERRORS)
         return products[:, : codes.count]
 
     def refined_corners(
@@ -249,7 +323,6 @@ def search_signatures() -> dict[str, Signature]:
     """Return the types of the functions of `search.h`, by their names."""
     pointer, size, integer, long = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int32, ctypes.c_int64
     search = (pointer, pointer, integer, integer, ctypes.POINTER(SearchParameters), pointer, size)
-    codes = (pointer, long, integer, pointer, long, long)
     boundaries = (pointer, *(integer,) * 4, pointer, size, pointer, long, pointer, integer)
     return {
         "search_workspace_bytes": (size, integer, integer),
@@ -266,8 +339,18 @@ def search_signatures() -> dict[str, Signature]:
             ctypes.POINTER(EdgeParameters),
             *(pointer,) * 4,
         ),
-        "best_codes": (integer, *codes, pointer, pointer),
-        "code_products": (integer, *codes, pointer),
+        "decode_cells": (
+            integer,
+            pointer,
+            long,
+            integer,
+            pointer,
+            ctypes.POINTER(CodeTableStructure),
+            integer,
+            ctypes.POINTER(DecodeConstants),
+            pointer,
+        ),
+        "code_products": (integer, pointer, long, integer, pointer, long, long, pointer),
         "sample_squares": (
             integer,
             pointer,

@@ -11,13 +11,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from skyherd.geometry import Array, BoolArray, IntArray, to_complex
+from skyherd.geometry import Array, IntArray, to_complex
 from skyherd.markers.dictionary import all_marker_cells, cells_per_side
-from skyherd.vision.blurred_cells import blurred_darkness, standardised
+from skyherd.vision.blurred_cells import MIN_DEVIATION, blurred_darkness, standardised
 from skyherd.vision.grey import Image, sample_squares
 from skyherd.vision.native.library import library
 from skyherd.vision.native.records import Floats
-from skyherd.vision.native.search_library import CodeColumns
+from skyherd.vision.native.search_library import CodeColumns, CodeTable, DecodeConstants
 from skyherd.vision.row_record import RowRecord
 
 SAMPLES_PER_CELL = 2
@@ -48,6 +48,9 @@ ROUNDING = 1e-4
 
 MIN_WHITE = 1.0
 """Smallest white level in the divisor of contrasts, grey levels. Chosen: markers are printed on white."""
+
+CONSTANTS = DecodeConstants(MIN_DEVIATION, MIN_WHITE)
+"""Limits for the compiled library."""
 
 
 @dataclass(frozen=True)
@@ -93,87 +96,23 @@ def decode_quads(
     """
     if not len(quads_px):
         return no_decoded_quads()
-    corners = to_complex(quads_px)
-    n_cells = cells_per_side(dictionary)
-    cells = read_cells(image, quads_px, n_cells)
+    corners, n_cells = to_complex(quads_px), cells_per_side(dictionary)
     cells_px = np.abs(np.roll(corners, 1, axis=1) - corners).mean(axis=1) / n_cells
-    samples, buckets = _Samples.of(cells), _buckets(sigma_px / cells_px)
-    found = _most_alike(samples, dictionary, buckets)
-    rows = np.flatnonzero(_may_be_blurred(found.likeness, dictionary, buckets))
-    blurred = _most_alike(samples.take(rows), dictionary, _buckets(np.full(rows.size, BLURRED_CELLS)))
-    is_blurred = (blurred.likeness > found.likeness[rows]) & (blurred.likeness >= BLURRED_CORRELATION)
-    found = found.put(rows[is_blurred], blurred.take(is_blurred))
-    marker, turn = np.divmod(found.codes, 4)
+    buckets, tables = np.unique(_buckets(sigma_px / cells_px), return_inverse=True)
+    numbers = buckets.tolist()
+    found = library().decoded(
+        read_cells(image, quads_px, n_cells),
+        tables.astype(np.int32),
+        [*(_codes(dictionary, number) for number in numbers), blurred_codes(dictionary, BLURRED_CELLS)],
+        [*(_least_likeness(dictionary, number) for number in numbers), BLURRED_CORRELATION],
+        CONSTANTS,
+    )
+    is_alike = (found["likeness"] >= min_correlation) & (found["deviation"] >= MIN_CELL_DEVIATION)
+    found = found[is_alike]
+    marker, turn = np.divmod(found["code"], 4)
     order = (turn[:, None] + np.arange(4)) % 4
-    turned_px = np.take_along_axis(quads_px, order[..., None], axis=1)
-    decoded = DecodedQuads(marker, turned_px, found.likeness, found.print_contrasts)
-    return decoded.take((found.likeness >= min_correlation) & (samples.deviations >= MIN_CELL_DEVIATION))
-
-
-@dataclass(frozen=True)
-class _Samples(RowRecord):
-    """Cells of N quadrilaterals.
-
-    Attributes:
-        standard: (N, n²) grey levels with mean 0 and standard deviation 1.
-        means: (N,) grey levels.
-        deviations: (N,) standard deviations, grey levels.
-    """
-
-    standard: Floats
-    means: Array
-    deviations: Array
-
-    @classmethod
-    def of(cls, cells: Floats) -> "_Samples":
-        """Return the samples of cells (N, n²), grey levels."""
-        return cls(standardised(cells), cells.mean(axis=1), cells.std(axis=1))
-
-
-@dataclass(frozen=True)
-class _Likeness(RowRecord):
-    """Best codes of N quadrilaterals under an assumed blur.
-
-    Attributes:
-        codes: (N,) rows of `BlurredCodes`.
-        likeness: (N,) correlations with these codes.
-        print_contrasts: (N,) as in `DecodedQuads`.
-    """
-
-    codes: IntArray
-    likeness: Array
-    print_contrasts: Array
-
-
-def _most_alike(samples: _Samples, dictionary: str, buckets: IntArray) -> _Likeness:
-    """Return the best codes of N quadrilaterals under tabulated blurs of numbers (N,)."""
-    order = np.argsort(buckets, kind="stable")
-    ordered, products = samples.standard[order], np.empty(len(order))
-    best, means, deviations = np.empty(len(order), dtype=np.int64), np.empty(len(order)), np.empty(len(order))
-    numbers, counts = np.unique(buckets, return_counts=True)
-    ends = counts.cumsum()
-    for number, count, end in zip(numbers.tolist(), counts.tolist(), ends.tolist(), strict=True):
-        codes, here = _codes(dictionary, number), slice(end - count, end)
-        best[here], products[here] = library().best_codes(ordered[here], codes.columns)
-        means[here], deviations[here] = codes.means[best[here]], codes.deviations[best[here]]
-    likeness = products / samples.standard.shape[1]
-    contrasts = likeness * samples.deviations[order] / deviations
-    whites = samples.means[order] + contrasts * means
-    found = _Likeness(best, likeness, contrasts / np.maximum(whites, MIN_WHITE))
-    return found.take(np.argsort(order, kind="stable"))
-
-
-def _may_be_blurred(likeness: Array, dictionary: str, buckets: IntArray) -> BoolArray:
-    """Return which quadrilaterals (N,) may correlate with a blurred code by `BLURRED_CORRELATION`.
-
-    Args:
-        likeness: (N,) largest correlations with codes under tabulated blurs.
-        dictionary: of the codes.
-        buckets: (N,) numbers of these blurs.
-    """
-    numbers, rows = np.unique(buckets, return_inverse=True)
-    least = np.array([_least_likeness(dictionary, number) for number in numbers.tolist()])
-    return np.asarray(likeness >= least[rows])
+    turned_px = np.take_along_axis(quads_px[is_alike], order[..., None], axis=1)
+    return DecodedQuads(marker, turned_px, found["likeness"], found["print_contrast"])
 
 
 @lru_cache(maxsize=128)
@@ -189,23 +128,11 @@ def _least_likeness(dictionary: str, bucket: int) -> float:
     return math.cos(math.acos(BLURRED_CORRELATION) + math.acos(cosine)) - ROUNDING
 
 
-@dataclass(frozen=True)
-class BlurredCodes:
-    """Cells of all markers under a blur; row 4 i + k is marker i with corner k first.
+def blurred_codes(dictionary: str, blur_cells: float) -> CodeTable:
+    """Return the codes of a dictionary under the tabulated blur nearest to `blur_cells`.
 
-    Attributes:
-        columns: standardised brightness of their cells.
-        means: (4 x markers,) mean darkness, 0 to 1.
-        deviations: (4 x markers,) standard deviation of the darkness.
+    Code 4 i + k is marker i with corner k first.
     """
-
-    columns: CodeColumns
-    means: Array
-    deviations: Array
-
-
-def blurred_codes(dictionary: str, blur_cells: float) -> BlurredCodes:
-    """Return the codes of a dictionary under the tabulated blur nearest to `blur_cells`."""
     return _codes(dictionary, int(_buckets(np.array(blur_cells))))
 
 
@@ -214,15 +141,18 @@ def _buckets(blurs_cells: Array) -> IntArray:
     return np.rint(np.log(blurs_cells) / math.log(BLUR_STEP)).astype(int)
 
 
-@lru_cache(maxsize=32)
-def _codes(dictionary: str, bucket: int) -> BlurredCodes:
-    """Return the codes of a dictionary under a blur of `BLUR_STEP ** bucket` cells. The cache holds 32."""
+@lru_cache(maxsize=64)
+def _codes(dictionary: str, bucket: int) -> CodeTable:
+    """Return the codes of a dictionary under a blur of `BLUR_STEP ** bucket` cells.
+
+    The cache holds all blurs of one dictionary, of which photographs have up to 38: 40 MB at most.
+    """
     cells = all_marker_cells(dictionary)
     dark = blurred_darkness(cells, BLUR_STEP**bucket, samples_per_cell=1, samples=SAMPLES_PER_CELL)
     codes = np.stack([np.rot90(dark, -turn, axes=(1, 2)) for turn in range(4)], axis=1)
     darkness = codes.reshape(4 * len(cells), -1)
     patterns = np.asarray(standardised(-darkness.astype(np.float32)))
-    return BlurredCodes(CodeColumns.of(patterns), darkness.mean(axis=1), darkness.std(axis=1))
+    return CodeTable(CodeColumns.of(patterns), darkness.mean(axis=1), darkness.std(axis=1))
 
 
 def read_cells(image: Image, quads_px: Array, n_cells: int) -> Floats:

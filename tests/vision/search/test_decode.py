@@ -6,8 +6,9 @@ import pytest
 from skyherd.geometry import SQUARE_CORNERS, to_points
 from skyherd.markers.dictionary import cells_per_side, dictionary_size
 from skyherd.vision import PhotometricDetector
+from skyherd.vision.blurred_cells import standardised
 from skyherd.vision.native.library import library
-from skyherd.vision.native.search_library import CodeColumns
+from skyherd.vision.native.search_library import CodeColumns, CodeTable
 from skyherd.vision.search import decode
 from skyherd.vision.search.decode import (
     BLUR_STEP,
@@ -113,27 +114,58 @@ def test_mirrored_image_gives_no_wrong_id(place_markers, draw_markers, dictionar
     assert set(mirrored.ids.tolist()) == allowed
 
 
+def table_of(codes):
+    """Return codes (M, K) as a table; means and deviations tell them apart."""
+    numbers = np.arange(1.0, len(codes) + 1)
+    return CodeTable(CodeColumns.of(codes), numbers, 2 * numbers)
+
+
 @pytest.mark.parametrize("count", [1, 7, 32, 33, 2348])
-@pytest.mark.parametrize("rows", [0, 1, 4, 9])
+@pytest.mark.parametrize("rows", [0, 1, 4, 9, 20])
 def test_best_code_is_that_of_the_products_in_double_precision(rows, count) -> None:
     """Sums of 64 products of single precision are exact to 64 roundings of their size."""
     rng = np.random.default_rng([6, rows, count])
-    samples, codes = (rng.normal(0, 1, (size, 64)).astype(np.float32) for size in (rows, count))
-    expected = samples.astype(float) @ codes.astype(float).T
-    bound = 64 * np.finfo(np.float32).eps * (np.abs(samples).astype(float) @ np.abs(codes).astype(float).T)
-    best, products = library().best_codes(samples, CodeColumns.of(codes))
-    every = library().code_products(samples, CodeColumns.of(codes))
+    cells, codes = (rng.normal(0, 1, (size, 64)).astype(np.float32) for size in (rows, count))
+    samples = standardised(cells.astype(float))
+    expected = samples @ codes.astype(float).T
+    bound = 65 * np.finfo(np.float32).eps * (np.abs(samples) @ np.abs(codes).astype(float).T)
+    every = library().code_products(samples.astype(np.float32), CodeColumns.of(codes))
     assert (np.abs(every - expected) <= bound).all()
-    assert best.tolist() == every.argmax(axis=1).tolist()
-    np.testing.assert_array_equal(products, every[np.arange(rows), best])
+    never = [2.0]
+    found = library().decoded(cells, np.zeros(rows, np.int32), [table_of(codes)], never, decode.CONSTANTS)
+    best = expected.argmax(axis=1)
+    assert found["code"].tolist() == best.tolist()
+    at = np.arange(rows), best
+    assert (np.abs(64 * found["likeness"] - expected[at]) <= bound[at]).all()
+    np.testing.assert_allclose(found["deviation"], cells.astype(float).std(axis=1), rtol=1e-12)
+    contrasts = found["likeness"] * found["deviation"] / (2 * (best + 1))
+    whites = cells.astype(float).mean(axis=1) + contrasts * (best + 1)
+    np.testing.assert_allclose(found["print_contrast"], contrasts / np.maximum(whites, 1.0), rtol=1e-9)
 
 
 def test_first_of_equal_codes_is_the_best() -> None:
     """Rows of one code among those of others: ids do not depend on how many numbers a vector holds."""
     codes = np.full((90, 5), -1, dtype=np.float32)
-    codes[[19, 20, 51, 77]] = 1
-    best, _ = library().best_codes(np.ones((3, 5), dtype=np.float32), CodeColumns.of(codes))
-    assert best.tolist() == [19, 19, 19]
+    codes[[19, 20, 51, 77]] = [2, 1, 0, -1, -2]
+    cells, tables = np.tile(codes[19], (3, 1)), np.zeros(3, np.int32)
+    found = library().decoded(cells, tables, [table_of(codes)], [2.0], decode.CONSTANTS)
+    assert found["code"].tolist() == [19, 19, 19]
+
+
+@pytest.mark.parametrize(
+    ("least", "needed", "is_last"), [(0.5, 0.9, True), (0.7, 0.9, False), (0.5, 0.99, False)]
+)
+def test_row_is_compared_with_the_last_table_if_it_is_like_its_own(least, needed, is_last) -> None:
+    """A row has 0.6 with the code of its table, 0.95 with that of the last, and 1 with that of another."""
+    rng = np.random.default_rng(7)
+    own, other, third = np.linalg.qr(rng.normal(0, 1, (50, 3)) - rng.normal(0, 1, 3))[0].T
+    basis = standardised(np.linalg.qr(np.stack([np.ones(50), own, other, third], axis=1))[0][:, 1:].T)
+    row = 0.6 * basis[0] + 0.8 * basis[1]
+    last = 0.95 * row + np.sqrt(1 - 0.95**2) * basis[2]
+    tables = [table_of(np.float32([code])) for code in (basis[0], row, last)]
+    cells = (100 + 20 * row).astype(np.float32)[None]
+    found = library().decoded(cells, np.zeros(1, np.int32), tables, [least, 0.0, needed], decode.CONSTANTS)
+    np.testing.assert_allclose(found["likeness"], 0.95 if is_last else 0.6, atol=1e-5)
 
 
 @pytest.mark.parametrize("dictionary", ["4X4_50", "APRILTAG_36h11"])
@@ -154,7 +186,7 @@ def test_no_quad_that_may_be_blurred_is_left_out(dictionary) -> None:
         rows = BLURRED_CORRELATION * codes + np.sqrt(1 - BLURRED_CORRELATION**2) * away
         rows = rows[(away**2).sum(axis=1) > n2 / 2]
         of_usual = blurred_codes(dictionary, BLUR_STEP**bucket).columns
-        _, products = library().best_codes(rows.astype(np.float32), of_usual)
+        products = library().code_products(rows.astype(np.float32), of_usual).max(axis=1)
         gaps.append((products / n2).min() - least)
     assert min(gaps) >= 0
     assert min(gaps) < 0.01
@@ -166,17 +198,13 @@ def test_blurred_codes_are_compared_only_where_they_may_count(place_markers, dra
     matrices, corners, size = grid(place_markers, 14.0, rng.uniform(-np.pi, np.pi, 50))
     image = draw_markers(matrices, range(50), size, rng, psf_px=1.0)
     quads = np.concatenate([corners, corners + rng.uniform(-4, 4, (50, 1, 2))])
-    found, asked = [], []
-    original = decode._most_alike
-
-    def counted(samples, dictionary, buckets):
-        asked.append(len(buckets))
-        return original(samples, dictionary, buckets)
-
-    monkeypatch.setattr(decode, "_most_alike", counted)
-    for least in (decode._least_likeness, lambda *_: -1.0):
+    found, usual = [], decode._least_likeness
+    for least in (usual, lambda *_: -1.0, lambda *_: 2.0):
         monkeypatch.setattr(decode, "_least_likeness", least)
-        found.append(decode_quads(image, quads, "4X4_50", 0.6))
-    assert asked[1] < asked[0] == asked[2] == asked[3]
-    np.testing.assert_array_equal(found[0].ids, found[1].ids)
-    np.testing.assert_array_equal(found[0].correlations, found[1].correlations)
+        found.append(decode_quads(image, quads, "4X4_50", 0.6, -1.0))
+    bounded, everywhere, nowhere = found
+    np.testing.assert_array_equal(bounded.ids, everywhere.ids)
+    np.testing.assert_array_equal(bounded.correlations, everywhere.correlations)
+    assert (nowhere.correlations < bounded.correlations).any()
+    bucket = int(decode._buckets(np.array(0.6 / (14.0 / 6))))
+    assert np.mean(nowhere.correlations < usual("4X4_50", bucket)) > 0.1

@@ -148,11 +148,12 @@ def _codes(dictionary: str, bucket: int) -> CodeTable:
     The cache holds all blurs of one dictionary, of which photographs have up to 38: 40 MB at most.
     """
     cells = all_marker_cells(dictionary)
-    dark = blurred_darkness(cells, BLUR_STEP**bucket, samples_per_cell=1, samples=SAMPLES_PER_CELL)
-    codes = np.stack([np.rot90(dark, -turn, axes=(1, 2)) for turn in range(4)], axis=1)
-    darkness = codes.reshape(4 * len(cells), -1)
-    patterns = np.asarray(standardised(-darkness.astype(np.float32)))
-    return CodeTable(CodeColumns.of(patterns), darkness.mean(axis=1), darkness.std(axis=1))
+    darkness = blurred_darkness(cells, BLUR_STEP**bucket, samples_per_cell=1, samples=SAMPLES_PER_CELL)
+    rows = darkness.reshape(len(cells), -1)
+    patterns = standardised(-rows.astype(np.float32)).reshape(darkness.shape)
+    codes = np.stack([np.rot90(patterns, -turn, axes=(1, 2)) for turn in range(4)], axis=1)
+    columns = CodeColumns.of(codes.reshape(4 * len(cells), -1))
+    return CodeTable(columns, np.repeat(rows.mean(axis=1), 4), np.repeat(rows.std(axis=1), 4))
 
 
 def read_cells(image: Image, quads_px: Array, n_cells: int) -> Floats:

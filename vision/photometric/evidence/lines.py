@@ -118,6 +118,9 @@ def _lines(n_cells: int) -> _Lines:
     )
     steps = np.arange(-reach, reach + STEP_PARTS / 2, STEP_PARTS)
     offsets, widths = (part.ravel() for part in np.meshgrid(steps, WIDTHS_PARTS))
-    away = np.abs(places[:, None] - offsets[:, None])
-    covers = (away <= widths[:, None] / 2).reshape(-1, places.shape[1])
-    return _Lines(places, offsets, widths, np.ascontiguousarray(covers.T, dtype=np.float32))
+    covers = np.empty((places.shape[1], DIRECTIONS, len(WIDTHS_PARTS), steps.size), dtype=np.float32)
+    for direction, across in enumerate(places):
+        away = np.abs(across[:, None] - steps)
+        for number, width in enumerate(WIDTHS_PARTS):
+            covers[:, direction, number] = away <= width / 2
+    return _Lines(places, offsets, widths, covers.reshape(len(covers), -1))

@@ -155,7 +155,7 @@ def test_first_of_equal_codes_is_the_best() -> None:
 @pytest.mark.parametrize(
     ("least", "needed", "is_last"), [(0.5, 0.9, True), (0.7, 0.9, False), (0.5, 0.99, False)]
 )
-def test_row_is_compared_with_the_last_table_if_it_is_like_its_own(least, needed, is_last) -> None:
+def test_row_like_its_own_table_is_compared_with_the_last_one(least, needed, is_last) -> None:
     """A row has 0.6 with the code of its table, 0.95 with that of the last, and 1 with that of another."""
     rng = np.random.default_rng(7)
     own, other, third = np.linalg.qr(rng.normal(0, 1, (50, 3)) - rng.normal(0, 1, 3))[0].T

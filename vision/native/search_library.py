@@ -324,6 +324,7 @@ def search_signatures() -> dict[str, Signature]:
     pointer, size, integer, long = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int32, ctypes.c_int64
     search = (pointer, pointer, integer, integer, ctypes.POINTER(SearchParameters), pointer, size)
     boundaries = (pointer, *(integer,) * 4, pointer, size, pointer, long, pointer, integer)
+    tables, constants = ctypes.POINTER(CodeTableStructure), ctypes.POINTER(DecodeConstants)
     return {
         "search_workspace_bytes": (size, integer, integer),
         "search_quads": (integer, *search, pointer, pointer, integer),
@@ -339,17 +340,7 @@ def search_signatures() -> dict[str, Signature]:
             ctypes.POINTER(EdgeParameters),
             *(pointer,) * 4,
         ),
-        "decode_cells": (
-            integer,
-            pointer,
-            long,
-            integer,
-            pointer,
-            ctypes.POINTER(CodeTableStructure),
-            integer,
-            ctypes.POINTER(DecodeConstants),
-            pointer,
-        ),
+        "decode_cells": (integer, pointer, long, integer, pointer, tables, integer, constants, pointer),
         "code_products": (integer, pointer, long, integer, pointer, long, long, pointer),
         "sample_squares": (
             integer,

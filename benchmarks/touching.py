@@ -8,6 +8,9 @@ touch at their corners. Cells: markers that each detector reads with their id. `
 """
 
 import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -16,8 +19,9 @@ import numpy.typing as npt
 from command import numbers, run
 
 from skyherd.files.atomic import write_text
-from skyherd.geometry import Array, apply_homography, inverse
+from skyherd.geometry import Array, Image, apply_homography, inverse
 from skyherd.markers.dictionary import marker_cells
+from skyherd.messages import Detections
 from skyherd.render import Camera, CameraPose
 from skyherd.render.camera.camera import homography_image_ground
 from skyherd.vision import create_detector
@@ -77,6 +81,58 @@ def view(
     return cv2.resize(drawn, (size, size), interpolation=cv2.INTER_AREA), homography
 
 
+@dataclass(frozen=True)
+class Scene:
+    """Image of a board.
+
+    Attributes:
+        kind: `apart` or `touch`.
+        side_px: side of the markers where the board is level.
+        tilt_deg: of the camera.
+        contrast: of the print, 1 for black on white.
+        image: grey, (height, width).
+        centers_px: (36, 2) of the markers, in the order of their ids.
+    """
+
+    kind: str
+    side_px: float
+    tilt_deg: float
+    contrast: float
+    image: Image
+    centers_px: Array
+
+
+def scenes(
+    dictionary: str,
+    sides_px: Sequence[float],
+    tilts_deg: Sequence[float],
+    contrasts: Sequence[float],
+    *,
+    tuning: bool,
+) -> Iterator[Scene]:
+    """Yield an image of each combination, of markers by themselves and then of ones that touch."""
+    for touching in (False, True):
+        whiteness, centers, side = board(dictionary, touching=touching)
+        for side_px, tilt_deg, contrast in product(sides_px, tilts_deg, contrasts):
+            rng = np.random.default_rng([tuning, touching, int(side_px), int(tilt_deg), int(100 * contrast)])
+            white, homography = view(whiteness, side, side_px, tilt_deg, rng)
+            white = cv2.GaussianBlur(white, (0, 0), BLUR_PX)
+            levels = 110 + contrast * 170 * (white - 0.5) + rng.normal(0, NOISE, white.shape)
+            shown = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+            kind, truth_px = "touch" if touching else "apart", apply_homography(homography, centers)
+            yield Scene(kind, side_px, tilt_deg, contrast, shown, truth_px)
+
+
+def count_right(found: Detections, scene: Scene) -> tuple[int, int]:
+    """Return how many markers of a scene were read with their id, and how many detections are wrong."""
+    truth_px, places = scene.centers_px, zip(found.ids.tolist(), found.centers_px, strict=True)
+    right = sum(
+        marker < len(truth_px) and np.linalg.norm(center_px - truth_px[marker]) < 0.3 * scene.side_px
+        for marker, center_px in places
+    )
+    return right, len(found) - right
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -98,34 +154,12 @@ def main() -> None:
         "|---" * (5 + len(names)) + "|",
     ]
     print("\n".join(lines))
-    for touching in (False, True):
-        image, centers, side = board(given.dictionary, touching=touching)
-        for side_px in given.sides:
-            for tilt in given.tilts:
-                for contrast in given.contrasts:
-                    rng = np.random.default_rng(
-                        [given.tuning, touching, int(side_px), int(tilt), int(100 * contrast)]
-                    )
-                    white, homography = view(image, side, side_px, tilt, rng)
-                    white = cv2.GaussianBlur(white, (0, 0), BLUR_PX)
-                    levels = 110 + contrast * 170 * (white - 0.5) + rng.normal(0, NOISE, white.shape)
-                    shown = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
-                    truth = apply_homography(homography, centers)
-                    found, wrong = [], []
-                    for detector in detectors.values():
-                        out = detector.detect(shown)
-                        ok = [
-                            k < len(truth) and np.linalg.norm(c - truth[k]) < 0.3 * side_px
-                            for k, c in zip(out.ids.tolist(), out.centers_px, strict=True)
-                        ]
-                        found.append(sum(ok))
-                        wrong.append(len(ok) - sum(ok))
-                    kind = "touch" if touching else "apart"
-                    cells = [f"{side_px:g}", f"{tilt:g}", f"{contrast:g}", *map(str, found)]
-                    lines.append(
-                        f"| {kind} | " + " | ".join(cells) + " | " + ", ".join(map(str, wrong)) + " |"
-                    )
-                    print(lines[-1], flush=True)
+    for scene in scenes(given.dictionary, given.sides, given.tilts, given.contrasts, tuning=given.tuning):
+        counts = [count_right(detector.detect(scene.image), scene) for detector in detectors.values()]
+        found, wrong = zip(*counts, strict=True)
+        cells = [f"{scene.side_px:g}", f"{scene.tilt_deg:g}", f"{scene.contrast:g}", *map(str, found)]
+        lines.append(f"| {scene.kind} | " + " | ".join(cells) + " | " + ", ".join(map(str, wrong)) + " |")
+        print(lines[-1], flush=True)
     if given.table:
         write_text(given.table, "\n".join(lines) + "\n")
 

@@ -12,6 +12,7 @@ from skyherd.vision.detectors.peers import APRILTAG_FAMILIES, LOCUS_FAMILIES, Pe
 from skyherd.vision.detectors.registry import (
     DEFAULT_DETECTOR,
     DEFAULT_DICTIONARY,
+    REPORT_REPEATS,
     Detector,
     check_detector_name,
     create_detector,
@@ -34,6 +35,7 @@ __all__ = [
     "LOCUS_FAMILIES",
     "MAX_BLUR_CELLS",
     "MIN_MARKER_CONTRAST",
+    "REPORT_REPEATS",
     "DeferringDetector",
     "Detector",
     "DetectorAccuracy",

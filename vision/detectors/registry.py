@@ -97,11 +97,15 @@ class Detector(Protocol):
 
 
 _DETECTORS: dict[str, Callable[[str], Detector]] = {
-    "photometric": lambda dictionary: PhotometricDetector(dictionary, following=False),
+    "photometric": partial(PhotometricDetector, following=False),
+    "quick": partial(PhotometricDetector, following=False, thorough=False),
     "tracking": PhotometricDetector,
     **{name: partial(PeerDetector, name) for name in peer_names()},
 }
 """Factories of the built-in detectors, by name; each takes the name of a dictionary."""
+
+REPORT_REPEATS = "photometric", "quick"
+"""Detectors that can report an id at every place where it is detected."""
 
 
 ENTRY_POINTS = "skyherd.detectors"
@@ -171,7 +175,7 @@ def create_detector(
             (`skyherd.vision.detectors.peers`). Other detectors ignore it.
         border_bits: width of the markers' black border in cells; calibration boards often have two.
         inverted: whether the markers are white on black.
-        repeats: whether to report an id at every place where it is detected (`photometric` only).
+        repeats: whether to report an id at every place where it is detected (`photometric` and `quick` only).
             `skyherd.messages.Detections.repeated` marks such ids. If False, they are left out.
         deferring: whether `tracking` defers searches to `DeferringDetector.look_around`. Other detectors have
             no such method, and search at once.
@@ -196,9 +200,9 @@ def _create_plain(name: str, dictionary: str, *, corrected: bool, repeats: bool)
     """Return a detector of markers that are black on white."""
     check_detector_name(name)
     if repeats:
-        if name != "photometric":
+        if name not in REPORT_REPEATS:
             raise InputError("detector", f"{name} leaves out ids that repeat", "photometric for them")
-        return PhotometricDetector(dictionary, following=False, repeats=True)
+        return PhotometricDetector(dictionary, following=False, repeats=True, thorough=name == "photometric")
     if ":" in name:
         return _import_detector(name, dictionary)
     if name not in _DETECTORS:

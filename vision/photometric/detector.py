@@ -89,6 +89,8 @@ class PhotometricDetector:
             not depend on earlier images.
         repeats: whether an id that is found at several places is reported at each of them. If not, it is left
             out. Markers are followed by their ids, so that following excludes this.
+        thorough: whether the fallback looks again for small, faint and crossed markers. It takes more than
+            half of the time.
 
     Attributes:
         states: state of each camera, by unit id.
@@ -97,10 +99,18 @@ class PhotometricDetector:
         InputError: there is no such dictionary, or repeats are to be followed.
     """
 
-    def __init__(self, dictionary: str = "4X4_50", *, following: bool = True, repeats: bool = False) -> None:
+    def __init__(
+        self,
+        dictionary: str = "4X4_50",
+        *,
+        following: bool = True,
+        repeats: bool = False,
+        thorough: bool = True,
+    ) -> None:
         if following and repeats:
             raise InputError("detector", "markers cannot be followed whose ids repeat", "one of the two")
         self.dictionary, self.following, self.repeats = dictionary, following, repeats
+        self.thorough = thorough
         self.states: dict[int, CameraState] = {}
         self._none = no_fit_results(dictionary)
 
@@ -203,6 +213,8 @@ class PhotometricDetector:
         doubt. They do not change the plane that these lie on.
         """
         first = self._measured(image, state, find_quads(image), followed)
+        if not self.thorough:
+            return first, SearchPass.empty(self.dictionary, first.plane, np.zeros((0, 4, 2)))
         found = first.found
         known = followed.joined(found.homographies)
         known_px = to_points(known.images(SQUARE_CORNERS))

@@ -16,6 +16,7 @@ DETECTORS = (
     "opencv-contour",
     "opencv-subpix",
     "photometric",
+    "quick",
     "tracking",
 )
 """Names of the detectors, as `skyherd.vision.detector_names` gives them."""

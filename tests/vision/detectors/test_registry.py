@@ -174,3 +174,29 @@ def test_tracking_follows_and_photometric_does_not():
     tracking, photometric = (create_detector(name) for name in ("tracking", "photometric"))
     assert isinstance(tracking, PhotometricDetector) and tracking.following
     assert isinstance(photometric, PhotometricDetector) and not photometric.following
+
+
+def test_quick_finds_the_same_markers_but_small_and_faint_ones(place_markers, draw_markers):
+    """Markers of 9 and 30 px, the second alone also with a twelfth of the contrast."""
+    rng = np.random.default_rng(0)
+    matrices = place_markers([60 + 60j, 180 + 60j], 0.4, [9.0, 30.0])
+    image = draw_markers(matrices, [3, 7], (240, 120), rng, noise=1.0, psf_px=0.5)
+    faint = draw_markers(matrices[1:], [7], (240, 120), rng, noise=1.0, psf_px=0.5)
+    faint = np.rint(128 + (faint.astype(float) - 128) / 12).astype(np.uint8)
+    photometric, quick = (create_detector(name) for name in ("photometric", "quick"))
+    assert photometric.detect(image).ids.tolist() == [3, 7]
+    assert quick.detect(image).ids.tolist() == [7]
+    np.testing.assert_array_equal(quick.detect(image).corners_px, photometric.detect(image).corners_px[1:])
+    assert photometric.detect(faint).ids.tolist() == [7]
+    assert quick.detect(faint).ids.tolist() == []
+
+
+@pytest.mark.parametrize("name", ["photometric", "quick"])
+def test_repeated_ids_are_reported_at_each_place_if_asked(place_markers, draw_markers, name):
+    rng = np.random.default_rng(4)
+    matrices = place_markers([60 + 60j, 180 + 60j], [0.4, 1.0], 30.0)
+    image = draw_markers(matrices, [7, 7], (240, 120), rng)
+    assert len(create_detector(name).detect(image)) == 0
+    assert create_detector(name, repeats=True).detect(image).ids.tolist() == [7, 7]
+    with pytest.raises(InputError, match="tracking leaves out ids that repeat"):
+        create_detector("tracking", repeats=True)

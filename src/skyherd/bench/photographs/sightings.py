@@ -12,7 +12,7 @@ from skyherd.bench.entrants import EntrantError
 from skyherd.errors import InputError, SkyherdError
 from skyherd.geometry import Array, IntArray
 from skyherd.messages import Quality
-from skyherd.vision import Detector, create_detector
+from skyherd.vision import REPORT_REPEATS, Detector, create_detector
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,6 @@ class Sightings:
     time_ms: float = 0.0
 
 
-REPEATS_TOLD = ("photometric",)
-"""Names of the detectors that can report every place of an id."""
-
-
 class Reader:
     """A detector for the images of one set, without memory between images.
 
@@ -56,7 +52,7 @@ class Reader:
                 f"detector {name}", f"does not support {', '.join(sorted(unknown))}", "usual markers"
             )
         self.name = name
-        if name in REPEATS_TOLD:
+        if name in REPORT_REPEATS:
             options = options | {"repeats": True}
         self._detector: Detector = create_detector(name, dictionary=dictionary, **options)
         self._images = 0

@@ -4,11 +4,11 @@
     OPENBLAS_NUM_THREADS=1 python benchmarks/followed_frame.py --size 3840 2160
 
 All detectors get the same frames one after the other on one thread. Times are medians of wall time over the
-frames. *Followed* is `tracking` in frames in which it searches nothing, *searched* is
-`photometric`. *Compiled* is the time of compiled functions in a followed frame: the following as a whole, and
-where it ends early also later fits, the evidence of streaks and the noise of the image. *Looks* is the time
-of the search for squares in a searched frame. Both bound the speed of the same measurements: OpenCV's time
-over them is the largest ratio that work on the rest can reach.
+frames. *Followed* is `tracking` in frames in which it searches nothing, *searched* is `photometric`, and
+*quick* its first search alone. *Compiled* is the time of compiled functions in a followed frame: the
+following as a whole, and where it ends early also later fits, the evidence of streaks and the noise of the
+image. *Looks* is the time of the search for squares in a searched frame. Both bound the speed of the same
+measurements: OpenCV's time over them is the largest ratio that work on the rest can reach.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def measure(size_px: tuple[int, int], markers: int, noise: float, frames: int) -
     """Return the medians of the times of OpenCV, of followed and searched frames and of their parts, ms."""
     scene = Scene(DICTIONARY, size_px, markers)
     scene.renderer.sensor = Sensor(noise, np.random.default_rng(2))
-    names = {"opencv": "opencv", "followed": "tracking", "searched": "photometric"}
+    names = {"opencv": "opencv", "followed": "tracking", "searched": "photometric", "quick": "quick"}
     detectors = {what: create_detector(name, dictionary=DICTIONARY) for what, name in names.items()}
     rows: dict[str, list[float]] = {what: [] for what in (*names, "compiled", "looks")}
     for frame in range(WARM_UP + frames):
@@ -66,7 +66,7 @@ def main() -> None:
     parser.add_argument("--noise", type=float, nargs="+", default=(0.0, NOISE), help="grey levels")
     parser.add_argument("--frames", type=int, default=60, help="frames that count")
     options = parser.parse_args()
-    columns = ("followed", "compiled", "searched", "looks")
+    columns = ("followed", "compiled", "searched", "looks", "quick")
     print(f"| noise | OpenCV, ms | {' | '.join(f'{c}, ms | OpenCV over it' for c in columns)} |")
     print("| --- " * (2 + 2 * len(columns)) + "|")
     with one_thread():

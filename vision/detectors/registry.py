@@ -96,7 +96,7 @@ class Detector(Protocol):
         ...
 
 
-_DETECTORS: dict[str, Callable[[str], Detector]] = {
+_DETECTORS: dict[str, Callable[..., Detector]] = {
     "photometric": partial(PhotometricDetector, following=False),
     "quick": partial(PhotometricDetector, following=False, thorough=False),
     "tracking": PhotometricDetector,
@@ -105,7 +105,7 @@ _DETECTORS: dict[str, Callable[[str], Detector]] = {
 """Factories of the built-in detectors, by name; each takes the name of a dictionary."""
 
 REPORT_REPEATS = "photometric", "quick"
-"""Detectors that can report an id at every place where it is detected."""
+"""Detectors that can report an id at every place where it is detected; their factories take `repeats`."""
 
 
 ENTRY_POINTS = "skyherd.detectors"
@@ -202,7 +202,7 @@ def _create_plain(name: str, dictionary: str, *, corrected: bool, repeats: bool)
     if repeats:
         if name not in REPORT_REPEATS:
             raise InputError("detector", f"{name} leaves out ids that repeat", "photometric for them")
-        return PhotometricDetector(dictionary, following=False, repeats=True, thorough=name == "photometric")
+        return _DETECTORS[name](dictionary, repeats=True)
     if ":" in name:
         return _import_detector(name, dictionary)
     if name not in _DETECTORS:

@@ -141,11 +141,12 @@ def _buckets(blurs_cells: Array) -> IntArray:
     return np.rint(np.log(blurs_cells) / math.log(BLUR_STEP)).astype(int)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=40)
 def _codes(dictionary: str, bucket: int) -> CodeTable:
     """Return the codes of a dictionary under a blur of `BLUR_STEP ** bucket` cells.
 
-    The cache holds all blurs of one dictionary, of which photographs have up to 38: 40 MB at most.
+    The cache holds all blurs of one dictionary, of which photographs have up to 38. A table takes 1 MB for a
+    thousand markers of 6 x 6 bits, and 10 MB for `7X7_8000`.
     """
     cells = all_marker_cells(dictionary)
     darkness = blurred_darkness(cells, BLUR_STEP**bucket, samples_per_cell=1, samples=SAMPLES_PER_CELL)
